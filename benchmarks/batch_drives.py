@@ -19,6 +19,7 @@ from steerd.car_model.native.windows import (
 )
 from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.daemon.imports.csv_log import import_csv
+from steerd.daemon.imports.import_map import load_map
 
 STEP, SECONDS, DAY = 0.01, 20.0, 86_400.0
 FIRST = 1_772_366_400.0
@@ -90,7 +91,7 @@ def make_fleet(
             rows = make_log(car, FIRST + day * DAY, [seed, number, day])
             header = "t,x,y,yaw,steer,speed"
             np.savetxt(table, rows, "%.9f", ",", header=header, comments="")
-            import_csv(table, the_map, out, lambda done: None)
+            import_csv(table, load_map(the_map), out, lambda done: None)
             table.unlink()
             written.append(out)
         the_map.unlink()

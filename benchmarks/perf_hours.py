@@ -26,6 +26,7 @@ from steerd.car_model.native.windows import (
     view_by_window,
 )
 from steerd.daemon.imports.csv_log import import_csv
+from steerd.daemon.imports.import_map import load_map
 
 SESSION = 600.0
 """Length of a session, at most [s]."""
@@ -58,7 +59,7 @@ def make_sessions(folder: Path, hours: float) -> list[Path]:
         np.savetxt(table, rows, fmt="%.6f", delimiter=",", comments="",
                    header="t,x,y,yaw,steer,speed")  # fmt: skip
         paths.append(folder / f"drive{number:02}.mcap")
-        import_csv(table, the_map, paths[-1], lambda done: None)
+        import_csv(table, load_map(the_map), paths[-1], lambda done: None)
     return paths
 
 

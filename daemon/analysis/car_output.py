@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 
 PUBLISHED = "F1TENTH, published figures"
 """Name of the car file that is installed with steerd; no car that was driven is called so."""
-_LEARNT = ("car", "effects", *TABLES)
-"""Sections that are about the car, not about its wiring."""
+_LEARNT = ("car", "effects", *TABLES)  # sections that are about the car, not about its wiring
 
 
 def make_car(
@@ -170,8 +169,7 @@ def learn_known(car: CarFile, runs: "tuple[Run, ...]") -> Mapping[str, Mapping[s
     from steerd.sysid.inference.car_posterior import learn_sections
 
     try:
-        drives = moving_segments(add_command_history(runs, car.model))
-        return learn_sections(car, drives)
+        return learn_sections(car, moving_segments(add_command_history(runs, car.model)))
     except (ValueError, FloatingPointError):
         return {}
 

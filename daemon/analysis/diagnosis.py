@@ -144,8 +144,7 @@ def run_diagnose(paths: Sequence[Path], options: DiagnoseOptions, watch: asked.W
     watch.progress(0.0, "reading the drives")
     drives, case, base = make_case(paths, options, watch)
     span = DIAGNOSED - LOADED
-    identify = f"steerd identify {drives.names} -o car.toml, then --base car.toml"
-    with drives.refusing(identify):
+    with drives.refusing(f"steerd identify {drives.names} -o car.toml, then --base car.toml"):
         findings = engine.diagnose(
             case, lambda stage, share: watch.progress(LOADED + span * share, stage), watch.written
         )

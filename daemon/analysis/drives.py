@@ -38,8 +38,7 @@ MOST = 1200.0
 """Driving that is looked at, at most [s]: ten times what identifies a car to a percent or two, and
 what a diagnosis judges in minutes; time and memory of either would grow with the rest."""
 
-FILES = 500
-"""Sessions that stay open within a shell's usual limit of 1024 files."""
+FILES = 500  # sessions that stay open within a shell's usual limit of 1024 files
 _DRIVEN = re.compile(r"`(steerd (collect|run) [^`]*)`")
 
 
@@ -212,14 +211,10 @@ def without_reserved(
 
 # -- what of a diagnosis's drives is explained, and what measures the shrinkage --------------------
 
-BLOCK = 6.5
-"""Least length of a block: it holds two separate predictions 3 s ahead [s]."""
-_OVER = 0.45
-"""A block may be so much longer than whole seconds; more would make one window more of it [s]."""
-FEWEST = 3
-"""Of fewer blocks none is held out unless it is asked for."""
-LEAST = 5.0
-"""A gap is not identifiable from less driving than this [s]."""
+BLOCK = 6.5  # least length of a block: it holds two separate predictions 3 s ahead [s]
+_OVER = 0.45  # a block may be so much longer than whole seconds; more is one window more [s]
+FEWEST = 3  # of fewer blocks none is held out unless it is asked for
+LEAST = 5.0  # a gap is not identifiable from less driving than this [s]
 
 
 def split_drives(case: Case, held_out: HeldOut, speed: Speed, watch: Watch) -> Case:

@@ -26,10 +26,9 @@ def by_stage() -> dict[Stage, list[Effect]]:
     return {stage: [e for e in ordered if e.stage is stage] for stage in Stage}
 
 
-def format_table(width: int | None = None) -> str:
+def format_table() -> str:
     """All effects, one line each, with their equations where the terminal is wide enough."""
-    if width is None:
-        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else 1000
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else 1000
     equations = width >= _NAME + _PARAMETERS + max(len(e.equation) for e in EFFECTS.values())
     head = f"{'effect':<{_NAME}}{'parameters: null (range) unit':<{_PARAMETERS}}"
     lines = [f"{head}{'equation' if equations else ''}".rstrip()]

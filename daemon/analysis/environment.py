@@ -22,8 +22,7 @@ from steerd.steer_bus.messages import StateMessage
 Observation = NDArray[np.float32]
 OBSERVED = ("e1", "e2", "curvature", "speed_ref", "speed", "yaw_rate", "slip_angle", "steer")
 """Fields of `state` that an observation holds, in SI."""
-_WAIT_MAX = 30.0
-"""Time in which a simulated car comes to drive [s]."""
+_WAIT_MAX = 30.0  # time in which a simulated car comes to drive [s]
 _Base: Any = import_module("gymnasium").Env if find_spec("gymnasium") else object
 
 

@@ -15,8 +15,7 @@ PANELS = ("lateral error e1", "heading error e2", "speed", "steering angle (left
 COLOURS = {
     "command": BEFORE, "estimate": AFTER, "measured": MEASURED, "other": "#862e9c", "bound": FAINT,
 }  # fmt: skip
-POINTS_MAX = 4000
-"""More points than this on one curve are not visible."""
+POINTS_MAX = 4000  # more points than this on one curve are not visible
 
 
 def plot_session(drawing: Drawing, title: str) -> Figure:

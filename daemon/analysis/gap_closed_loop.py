@@ -6,7 +6,6 @@ exchanged. The noise of the simulated hardware is another than that of a simulat
 
 import shlex
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +24,7 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import drive, make_virtual_run
 from steerd.daemon.sessions.motion import SETTLE
 from steerd.daemon.settings.config import make_settings
-from steerd.daemon.settings.run_options import ControllerKind, RunOptions, decode_options
+from steerd.daemon.settings.run_options import ControllerKind, RunOptions, recorded_options
 from steerd.sim_gap.lane_comparison import SHORTEST, LaneComparison, LaneDrive
 from steerd.sim_hw.world import World
 from steerd.steer_bus import topics
@@ -33,10 +32,8 @@ from steerd.steer_bus.codec import decode
 from steerd.steer_bus.session_read import Session, SessionError
 from steerd.steer_bus.topics import find_topic
 
-SECONDS = 20.0
-"""Length of a simulated drive: several bends; longer adds nothing to a profile [s]."""
-_SEED = 7919
-"""Added to the recorded seed: a simulated recording must not get its own noise again."""
+SECONDS = 20.0  # length of a simulated drive: several bends; longer adds nothing to a profile [s]
+_SEED = 7919  # added to the recorded seed: a simulated recording must not get its own noise again
 
 Rows = NDArray[np.float64]
 Values = Mapping[str, tuple[float, ...]]
@@ -54,29 +51,27 @@ def compare_lane(session: Session, base: CarFile, found: Values) -> LaneComparis
         settings = make_settings(read_session_car(session), options.speed)
     except (SessionError, CarFileError) as error:
         raise SteerdError(f"its car file cannot be used ({error})") from None
-    with ExitStack() as stack:
-        try:  # the file that its path names comes from the session itself
-            path = stack.enter_context(recorded_path(session, options.path))
-        except SessionError:
-            raise SteerdError("its path file is not in the session") from None
-        plan = make_plan(
-            replace(options, path=path), replace(settings, brakes=replace(settings.brakes, uuid=""))
-        )
-        for topic in session.info().topics:
-            if find_topic(topic.name) is topics.PARAMETERS:
-                said = [record.decode() for record in session.messages(topic.name)]
-                if len({(p.speed, p.offset, p.gain) for p in said}) > 1:
-                    # Simulated, it would be another drive.
-                    raise SteerdError("its live parameters were changed while it drove")
-        rows = _recorded(session)
-        recorded = _lane_drive(rows[:, :5], plan)
-        if recorded is None:
-            raise SteerdError(f"it keeps the lane for less than {SETTLE + SHORTEST:g} s")
-        x, y, yaw = (float(v) for v in rows[0, 5:])
-        start = ORIGIN._replace(x=x, y=y, yaw=yaw)
-        remarks: list[str] = []
-        without = _simulated(plan, base, {}, start, remarks)
-        other = _simulated(plan, base, found, start, remarks) if found else None
+    settings = replace(settings, brakes=replace(settings.brakes, uuid=""))
+    try:  # the file that its path names comes from the session itself
+        with recorded_path(session, options.path) as path:
+            plan = make_plan(replace(options, path=path), settings)
+    except SessionError:
+        raise SteerdError("its path file is not in the session") from None
+    for topic in session.info().topics:
+        if find_topic(topic.name) is topics.PARAMETERS:
+            said = [record.decode() for record in session.messages(topic.name)]
+            if len({(p.speed, p.offset, p.gain) for p in said}) > 1:
+                # Simulated, it would be another drive.
+                raise SteerdError("its live parameters were changed while it drove")
+    rows = _recorded(session)
+    recorded = _lane_drive(rows[:, :5], plan)
+    if recorded is None:
+        raise SteerdError(f"it keeps the lane for less than {SETTLE + SHORTEST:g} s")
+    x, y, yaw = (float(v) for v in rows[0, 5:])
+    start = ORIGIN._replace(x=x, y=y, yaw=yaw)
+    remarks: list[str] = []
+    without = _simulated(plan, base, {}, start, remarks)
+    other = _simulated(plan, base, found, start, remarks) if found else None
     # Options of `steerd run` for the same lane; none of a path file that is no longer there.
     file = csv_file(options.path)
     known = options.path == RunOptions.path or (file and not Path(file).is_file())
@@ -86,11 +81,9 @@ def compare_lane(session: Session, base: CarFile, found: Values) -> LaneComparis
 
 def _options_of(session: Session) -> RunOptions:
     """How the session was driven, as a simulation of the same length at most."""
-    text = session.info().metadata.get("steerd.session", {}).get("options", "")
-    try:
-        options = decode_options(text)
-    except ValueError:
-        raise SteerdError("it was not recorded by `steerd run`") from None
+    options = recorded_options(session.info().metadata)
+    if options is None:
+        raise SteerdError("it was not recorded by `steerd run`")
     if options.drill:
         raise SteerdError("it was driven by an excitation plan, not by the lane keeper")
     if options.controller is not ControllerKind.LANE:

@@ -22,11 +22,9 @@ from steerd.sysid.estimation.outcome import Outcome, Row, encode_outcome
 from steerd.sysid.inference.plain_car import POOR, default_free
 from steerd.sysid.report.report import Line, Report, finite
 
-FIT = 2.0
-"""About what a fit costs, in sessions read."""
+FIT = 2.0  # about what a fit costs, in sessions read
 _LEAST = {"starts": 1, "iterations": 1, "jobs": 1, "seed": 0}
-_WHEELBASE = 0.05, 4.0
-"""Between a toy's and a lorry's wheelbase [m]; millimetres lie above."""
+_WHEELBASE = 0.05, 4.0  # between a toy's and a lorry's wheelbase [m]; millimetres lie above
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,8 +150,7 @@ def run_identify(
     base = asked.read_car(options.car)
     drives, task = _make_task(paths, options, base, watch)
     watch.progress(len(paths) / (len(paths) + FIT), "fitting the car")
-    closer = "give start values closer to the car: --car FILE.toml, --wheelbase"
-    with drives.refusing(closer):
+    with drives.refusing("give start values closer to the car: --car FILE.toml, --wheelbase"):
         found = learn(task, time.perf_counter)
     # Commands that the result names run as they are printed.
     outcome = replace(
@@ -173,11 +170,7 @@ identify = asked.by_keywords("identifying", IdentifyOptions, run_identify)
 def _make_task(
     paths: Sequence[Path], options: IdentifyOptions, base: CarFile, watch: asked.Watch
 ) -> tuple[Drives, Task]:
-    """Read the drives and settle what is free; everything that can be refused is refused here.
-
-    Raises:
-        SteerdError: a session or an option cannot be used.
-    """
+    """Read the drives and settle what is free; everything that can be refused is refused here."""
     held_out, length = asked.read_held_out(options.held_out), options.wheelbase
     for name, least in _LEAST.items():
         value = getattr(options, name)
@@ -212,7 +205,6 @@ def _make_task(
         model = prep.level_loads(model, drives.runs)
     different = compare_truths(drives.metadata | other.metadata)
     watch.warn(different)
-    first = drives.sessions[0].info().metadata
     return drives, Task(
         drives.runs,
         model,
@@ -221,7 +213,7 @@ def _make_task(
         every=held_out.every or asked.EVERY,
         free=prep.free_names(options, default_free(model.chassis)),
         held=prep.held_names(options),
-        truth=None if different else read_true_car(first),
+        truth=None if different else read_true_car(drives.sessions[0].info().metadata),
     )
 
 

@@ -21,10 +21,8 @@ from steerd.sysid.report.report import (
 if TYPE_CHECKING:
     from steerd.sysid.report.drawing import Diagrams
 
-IMPROVEMENT_MIN = 1.02
-"""A smaller factor is no improvement."""
-_CERTAIN = 10.0
-"""A phase whose log-likelihood leads by more is identified [nats]."""
+IMPROVEMENT_MIN = 1.02  # a smaller factor is no improvement
+_CERTAIN = 10.0  # a phase whose log-likelihood leads by more is identified [nats]
 
 
 def make_report(outcome: Outcome, following: Sequence[Line] = ()) -> Report:
@@ -134,8 +132,7 @@ def _validation(outcome: Outcome) -> Iterator[Line]:
             low, high = r.lateral_accel_low, r.lateral_accel_high
             where = f"to {high:g}" if isfinite(high) else f"above {low:g}"
             medians.append(f"{1e3 * r.median:.{int(r.median < 0.01)}f} mm {where}")
-        text = f"median after 1 s by lateral acceleration [m/s²]: {', '.join(medians)}"
-        yield Line("", text)
+        yield Line("", f"median after 1 s by lateral acceleration [m/s²]: {', '.join(medians)}")
 
 
 # -- the page --------------------------------------------------------------------------------------

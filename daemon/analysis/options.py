@@ -115,8 +115,7 @@ class Finding(Reported):
         return plot_report(report.verdict, list(report.figures))
 
 
-EVERY = 4
-"""Unless stated otherwise every 4th block or session is held out."""
+EVERY = 4  # unless stated otherwise every 4th block or session is held out
 
 Speed = Literal["command", "wheel"]
 """What drives the simulated car: the speed command, or the measured wheel speed."""

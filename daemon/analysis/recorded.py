@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     import polars
     from matplotlib.figure import Figure
 
-Table = NDArray[np.void]
-"""A topic as a structured array (n,): `t` [s] since the session's start, then every field."""
+Table = NDArray[np.void]  # a topic (n,): `t` [s] since the session's start, then every field
 
 
 @shown
@@ -174,11 +173,7 @@ class Session:
         return format_report(self.report)
 
     def _find(self, topic: str) -> tuple[str, type[Any]]:
-        """Whole topic and message class of a name.
-
-        Raises:
-            SteerdError: the session has no such topic.
-        """
+        """Whole topic and message class of a name; a SteerdError where there is no such topic."""
         for brief, (whole, cls) in self._names.items():
             if topic in (brief, whole):
                 return whole, cls
@@ -202,8 +197,7 @@ class Metadata(dict[str, dict[str, str]]):
         return f"<Metadata: {', '.join(self)}>"
 
 
-_TIMES = {"t": "s", "log_ns": "ns", "publish_ns": "ns"}
-"""Units of what every table has."""
+_TIMES = {"t": "s", "log_ns": "ns", "publish_ns": "ns"}  # units of what every table has
 
 
 def load(path: Path | str) -> Session:

@@ -23,8 +23,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import StateMessage
 
-DURATION_MAX = 86_400.0
-"""A day [s]."""
+DURATION_MAX = 86_400.0  # a day [s]
 EffectValues = Mapping[str, float | Sequence[float] | Mapping[str, float]]
 """Parameters by effect: one value, all in order, or some by their names; see `steerd effects`."""
 

@@ -41,8 +41,7 @@ FASTEST_HZ = 1000.0  # highest control rate [Hz]
 SLOWEST_HZ, SLOWEST_SIMULATED_HZ = 50.0, 20.0
 """Lowest control rates [Hz]: the guardian brakes a car whose core has not ticked for 30 ms, and a
 simulated one for 300 ms."""
-OFFSET_SHARE = 0.5
-"""The lane may be shifted by this share of the lateral error that stops the car (W17)."""
+OFFSET_SHARE = 0.5  # the lane may be shifted by this share of the error that stops the car (W17)
 VIRTUAL_EPOCH_NS = 1_700_000_000_000_000_000
 """UNIX time at which every drive in virtual time begins: the same drive has the same bytes."""
 

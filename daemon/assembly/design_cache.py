@@ -12,7 +12,8 @@ import contextlib
 import hashlib
 import json
 from dataclasses import asdict
-from importlib import metadata, util
+from importlib import metadata
+from importlib.resources import files
 from pathlib import Path
 
 import platformdirs
@@ -26,7 +27,7 @@ from steerd.controller.loop_model import Timing
 from steerd.sealed_file import make_own_folder, read_sealed, seal
 from steerd.steer_bus.atomic_file import write_atomically
 
-_CODE = ("controller.gains", "controller.loop_model", "car_model.linear", "car_model.params")
+_CODE = ("controller/gains", "controller/loop_model", "car_model/linear", "car_model/params")
 """Modules of steerd that the gains come from."""
 
 
@@ -62,7 +63,5 @@ def digest_design(
     found.update(repr((tuple(car), asdict(config), tuple(timing), speed_max)).encode())
     found.update(metadata.version("control").encode() + fingerprint().encode())
     for name in _CODE:
-        spec = util.find_spec(f"steerd.{name}")
-        if spec is not None and spec.origin is not None:
-            found.update(Path(spec.origin).read_bytes())
+        found.update((files("steerd") / f"{name}.py").read_bytes())
     return found.hexdigest()[:32]

@@ -143,8 +143,7 @@ class _Orbit(NamedTuple):
     fastest: float
 
 
-_PROBING = _Orbit(0.0, PROBE, 0.0, 1.0)
-"""What is added to the lane keeper's command: shares of its speed."""
+_PROBING = _Orbit(0.0, PROBE, 0.0, 1.0)  # added to the lane keeper's command: shares of its speed
 
 
 def _make_orbit(

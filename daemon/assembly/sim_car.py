@@ -20,7 +20,7 @@ from steerd.car_model.params import Car
 from steerd.daemon.common.errors import UsageError, refusing
 from steerd.daemon.common.screen import clean
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
-from steerd.daemon.settings.run_options import HIDDEN, decode_options
+from steerd.daemon.settings.run_options import HIDDEN, recorded_options
 
 SHARES: Mapping[str, float] = {
     "c_sf": 0.15, "c_sr": 0.15, "inertia_z": 0.2, "steer_gain": 0.08,
@@ -104,13 +104,10 @@ def read_origin(metadata: Mapping[str, Any], *, own_car: bool = True) -> str:
     `own_car` also the session's car file: what is designed from another one says itself what its
     car is beyond the equations. There are none for the log of another system.
     """
-    try:
-        options = decode_options(metadata.get("steerd.session", {}).get("options", ""))
-    except ValueError:
-        return ""
-    if options.simulated:
+    options = recorded_options(metadata)
+    if options and options.simulated:
         words = ["--sim", "--fast", *(("--sim-car", options.sim_car) if options.sim_car else ())]
-    elif options.port and options.mocap:
+    elif options and options.port and options.mocap:
         words = ["--port", options.port, "--mocap", options.mocap]
     else:
         return ""

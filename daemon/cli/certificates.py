@@ -63,9 +63,8 @@ def add_members(folder: Path, old: Lab, lab: Lab, years: float, host: str | None
     known = {old.car, *old.operators, *old.viewers}
     for name in added:  # before anything is written
         if not _NAME.fullmatch(name) or name.startswith(".") or name == AUTHORITY:
-            what = f"{name!r} is not a valid name for a certificate"
             hint = f"1 to 60 of letters, digits and _ . -, not starting with a dot, not {AUTHORITY}"
-            raise UsageError(what, hint)
+            raise UsageError(f"{name!r} is not a valid name for a certificate", hint)
         if name in known:
             hint = "choose another name; a certificate is never replaced"
             raise UsageError(f"{name!r} exists already", hint)
@@ -113,7 +112,6 @@ def _issue(folder: Path, issuer: Issuer, name: str, host: str | None) -> None:
     """Make the folder of one participant; `host` is where others connect, None for a client."""
     key = ec.generate_private_key(ec.SECP256R1())
     purpose = ExtendedKeyUsageOID.SERVER_AUTH if host else ExtendedKeyUsageOID.CLIENT_AUTH
-
     extensions: dict[x509.ExtensionType, bool] = {
         x509.BasicConstraints(ca=False, path_length=None): True,
         x509.KeyUsage(True, False, False, False, False, False, False, False, False): True,
@@ -159,16 +157,14 @@ def _certify(
 
 
 def _encode(key: ec.EllipticCurvePrivateKey) -> bytes:
-    plain = serialization.NoEncryption()
-    return key.private_bytes(_PEM, serialization.PrivateFormat.PKCS8, plain)
+    return key.private_bytes(_PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
 
 
 def _write_folder(path: Path, files: Mapping[str, bytes]) -> None:
     """Make a folder, which must not exist, with files that only its owner may read."""
     if path.exists():
-        what = f"{path} already exists and is not changed"
         hint = "choose another folder or name, or delete it if nobody uses it any more"
-        raise SteerdError(what, hint, ExitCode.UNREADABLE)
+        raise SteerdError(f"{path} already exists and is not changed", hint, ExitCode.UNREADABLE)
     with refusing(f"{path}: "):
         path.mkdir(mode=0o700, parents=True)
     for name, data in files.items():

@@ -132,8 +132,7 @@ def dispatch(argv: Sequence[str]) -> int:
     command.add_arguments(parser)
     parser.set_defaults(command=name)
     if {"-h", "--help", "--help-all"} & set(rest):
-        first = () if "--help-all" in rest else command.first
-        _explain(parser, first)
+        _explain(parser, () if "--help-all" in rest else command.first)
         rest = ["--help" if word == "--help-all" else word for word in rest]
     try:
         args, unknown = parser.parse_known_args(rest)

@@ -119,15 +119,13 @@ def reading(name: object, hint: str = "") -> Iterator[None]:
     Raises:
         SteerdError: it holds what cannot be read.
     """
-    import csv
-
     from steerd.steer_bus.session_read import SessionError
 
     try:
         yield
     except SessionError as error:
         raise make_session_error(error, hint) from error
-    except (ValueError, LookupError, RecursionError, MemoryError, csv.Error) as error:
+    except (ValueError, LookupError, RecursionError, MemoryError) as error:
         known = {RecursionError: "nested too deeply", MemoryError: "more than memory holds"}
         text = known.get(type(error), str(error)[:200] or type(error).__name__)
         text = f"it lacks {error.args[0]}" if isinstance(error, KeyError) else text

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from steerd.sysid.report.report import Line
 
 WIDTH = 80  # columns of the narrowest terminal that reports are made for
-NBSP = "\u00a0"
-"""Joins what must stand on one line, a figure and its unit for instance; shown as a space."""
+NBSP = "\u00a0"  # joins what must stand on one line, a figure and its unit; shown as a space
 _COMMAND = re.compile("`steerd [^`]*`")
 TEXT_MAX = 200  # text from a file is cut after so many characters
 

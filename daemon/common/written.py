@@ -134,11 +134,7 @@ def car_outputs(path: Path, car: "CarFile") -> dict[Path | None, str | bytes | N
 
 
 def _keep(path: Path, data: bytes) -> Path | None:
-    """Give a car file, or a foreign or edited one, a second, dated name beside the first.
-
-    Raises:
-        SteerdError: it can be neither linked nor copied.
-    """
+    """Give a car file, or a foreign or edited one, a second, dated name beside the first."""
     try:
         old = path.read_bytes()
     except FileNotFoundError:
@@ -245,6 +241,5 @@ def write_whole(path: Path, text: str | bytes) -> None:
     try:
         write_atomically(path, text)
     except OSError as error:
-        what = f"{path}: {error.strerror}"
         hint = f"{'free some space, or ' if is_full(error) else ''}choose another folder"
-        raise SteerdError(what, hint, ExitCode.UNREADABLE) from None
+        raise SteerdError(f"{path}: {error.strerror}", hint, ExitCode.UNREADABLE) from None

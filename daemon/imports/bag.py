@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.progress import Advance
-from steerd.daemon.imports.import_map import ImportMap, load_map
+from steerd.daemon.imports.import_map import ImportMap
 from steerd.daemon.imports.import_session import ImportReport, MessageMaker, Sample, write_import
 from steerd.steer_bus import standard
 from steerd.steer_bus.atomic_file import is_full
@@ -61,42 +61,29 @@ BAG_ROLES: Mapping[str, Role] = {
     ),
     "wheel": Role(WHEEL, (_ODOMETRY,)),
 }  # fmt: skip
-_OTHER_CLOCK_NS = 10_000_000_000
-"""Header stamps this far from the bag's time are of another clock [ns]."""
+_OTHER_CLOCK_NS = 10_000_000_000  # header stamps this far from the bag's time are of another clock
 _ADVANCE_MESSAGES = 1000  # messages between two reports of progress
 _SHOWN = 8  # topics that an error lists
 
 
 def import_bag(
-    source: Path,
-    map_path: Path | None,
-    out: Path,
-    advance: Advance,
-    named: Sequence[str] = (),
-    rigid: int | None = None,
-    erpm_gain: float | None = None,
+    source: Path, the_map: ImportMap, out: Path, advance: Advance, named: Sequence[str] = ()
 ) -> ImportReport:
     """Turn a bag into a session.
 
     Args:
         source: a ROS 1 `.bag`, a ROS 2 bag folder, or one `.mcap` or `.db3` file of one.
-        map_path: a map with `[topics]`, `[frame]` or `[session]`; may be left out.
+        the_map: one with `[topics]`, `[frame]` or `[session]`, or an empty one.
         out: the session to write; nothing is left of it after an error.
         advance: called with the share of the bag's time read so far, 0 to 1.
         named: `TOPIC`, or `ROLE=TOPIC` with one of `BAG_ROLES`; they override the map's.
-        rigid: which rigid body of a PhaseSpace message is the car; None for the map's.
-        erpm_gain: electrical rpm per m/s, negative for a motor wired so; None for the map's.
 
     Raises:
         SteerdError: rosbags is missing, or something is wrong with bag, map or output.
     """
-    the_map = load_map(map_path, erpm_gain)
     with closing(_open(source)) as reader:
-        the_map = replace(
-            the_map,
-            epoch_ns=max(reader.start_time, 0) if reader.message_count else 0,
-            rigid=the_map.rigid if rigid is None else rigid,
-        )
+        epoch_ns = max(reader.start_time, 0) if reader.message_count else 0
+        the_map = replace(the_map, epoch_ns=epoch_ns)
         types = _types_of(reader)
         roles = _choose_topics(source, types, the_map.topics, named)
         bag = _Bag(source, reader, roles, the_map)
@@ -310,8 +297,7 @@ class _Bag:
         if rigid is None and len(bodies) > 1:
             ids = sorted(bodies)
             what = f"the PhaseSpace messages hold rigid bodies {', '.join(map(str, ids))}"
-            hint = f"name the car with --rigid, e.g. --rigid {ids[0]}"
-            raise UsageError(what, hint)
+            raise UsageError(what, f"name the car with --rigid, e.g. --rigid {ids[0]}")
         body = next(iter(bodies.values()), None) if rigid is None else bodies.get(rigid)
         if body is None:
             return None

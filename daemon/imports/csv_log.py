@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TextIO
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.progress import Advance
-from steerd.daemon.imports.import_map import NS, ColumnSpec, ImportMap, load_map
+from steerd.daemon.imports.import_map import NS, ColumnSpec, ImportMap
 from steerd.daemon.imports.import_session import ImportReport, MessageMaker, Sample, write_import
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, THROTTLE, VESC, WHEEL, Topic
 
@@ -184,31 +184,26 @@ _STREAMS: tuple[tuple[Topic, Callable[..., Any], tuple[str, ...]], ...] = (
 )
 """Topics, what makes their messages, and of which quantities."""
 _TOPICS = {quantity: topic for topic, _, quantities in _STREAMS for quantity in quantities}
-_Timed = tuple[int, dict[str, float]]
-"""The time of a row [ns], and the quantities that have a value in it."""
+_Timed = tuple[int, dict[str, float]]  # time of a row [ns], and the quantities that have a value
 _INT32_MAX = (1 << 31) - 1  # largest UNIX time [s] and largest ERPM of a message
 
 
-def import_csv(
-    source: Path, map_path: Path, out: Path, advance: Advance, erpm_gain: float | None = None
-) -> ImportReport:
+def import_csv(source: Path, the_map: ImportMap, out: Path, advance: Advance) -> ImportReport:
     """Turn a csv file into a session.
 
     Args:
         source: the csv file; its delimiter is detected.
-        map_path: the map, with `[columns]`.
+        the_map: one with `[columns]`.
         out: the session to write; nothing is left of it after an error.
         advance: called with the bytes read so far.
-        erpm_gain: electrical rpm per m/s; None for the map's.
 
     Raises:
         SteerdError: something is wrong with the map, the file or the output; the message says
             where.
     """
-    the_map = load_map(map_path, erpm_gain)
     if not the_map.columns:
         hint = f"copy {EXAMPLE_MAP} and name your columns"
-        raise SteerdError(f"map {map_path} has no [columns]", hint)
+        raise SteerdError(f"{the_map.name} has no [columns]", hint)
     notes: Counter[str] = Counter()
     topics = list(dict.fromkeys(_TOPICS[q] for q in the_map.columns if q in _TOPICS))
     with open_table(source) as file:

@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean, refusing
+from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.settings.config import read_frame
 from steerd.mocap_link.frame import FrameConfig
@@ -78,35 +78,25 @@ class ImportMap:
     # Quantity to column, `t` included; empty in a map for bags
     columns: dict[str, ColumnSpec] = field(default_factory=dict)
     topics: dict[str, str] = field(default_factory=dict)  # role to topic
-    # Which rigid body of a PhaseSpace message is the car; None if there is only one
-    rigid: int | None = None
+    rigid: int | None = None  # which body of a PhaseSpace message is the car; None: the only one
     # From the recorded body to the centre of gravity; None changes nothing
     frame: FrameConfig | None = None
-    # Electrical rpm per m/s, and its offset; None for the F1TENTH figures
-    vesc: VescSpec | None = None
+    vesc: VescSpec | None = None  # ERPM per m/s and its offset; None for the F1TENTH figures
     car: str = "car"  # the car's name in topics
     epoch_ns: int = 0  # UNIX time of the log's time zero [ns]
     comment: str = ""  # a remark for `steerd info`
     text: str = ""  # the map's own text; it is kept inside the session
+    name: str = "the map"  # what messages call it
 
 
-def load_map(path: Path | None, erpm_gain: float | None = None) -> ImportMap:
-    """Read a map, an empty one for None; `erpm_gain` of the command line replaces its own.
+def load_map(path: Path) -> ImportMap:
+    """Read a map.
 
     Raises:
         SteerdError: it cannot be read, is no TOML, or says something impossible.
     """
-    the_map = _read_map(path) if path else ImportMap()
-    if erpm_gain is None:
-        return the_map
-    with refusing(f"--erpm-gain {erpm_gain:g}: "):
-        vesc = msgspec.structs.replace(the_map.vesc or VescSpec(), erpm_gain=erpm_gain)
-    return replace(the_map, vesc=vesc)
-
-
-def _read_map(path: Path) -> ImportMap:
     try:
-        return parse_map(read_toml(path))
+        return replace(parse_map(read_toml(path)), name=f"map {path}")
     except OSError as error:
         what = f"map {path} cannot be read: {error.strerror}"
         raise SteerdError(what, "name a map with --map", ExitCode.UNREADABLE) from error

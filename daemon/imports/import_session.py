@@ -62,8 +62,7 @@ def check_output(out: Path) -> None:
         SteerdError: it exists, or does not end in `.mcap`.
     """
     if out.suffix != ".mcap":
-        hint = f"-o {out.with_suffix('.mcap')}"
-        raise UsageError(f"{out}: a session's name ends in .mcap", hint)
+        raise UsageError(f"{out}: a session's name ends in .mcap", f"-o {out.with_suffix('.mcap')}")
     if out.exists():
         raise UsageError(f"{out} exists and is never overwritten", "choose another name with -o")
 
@@ -112,9 +111,8 @@ def write_import(
         raise make_session_error(error) from error
     try:
         for sample in samples:
-            data = encode(sample.message)
             log_ns, valid_ns = sample.log_ns + the_map.epoch_ns, sample.t_ns + the_map.epoch_ns
-            writer.write(names[sample.topic.name], data, log_ns, valid_ns)
+            writer.write(names[sample.topic.name], encode(sample.message), log_ns, valid_ns)
             counts[sample.topic.name] += 1
         if not writer.count:
             what = f"{source.name} holds no sample of what the map names"

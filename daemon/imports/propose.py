@@ -60,14 +60,19 @@ def propose_csv(source: Path) -> Proposal:
         if fits:
             free.remove(fits[0])
             scale = guess_scale(quantity, _numbers(table, rows, table.header.index(fits[0])))
-            columns[quantity] = _scaled(fits[0], scale)
+            columns[quantity] = scaled(fits[0], scale)
     if not {"x", "y", "yaw"} <= columns.keys():
         columns = {k: v for k, v in columns.items() if k not in ("x", "y", "yaw")}
     return {"columns": columns}
 
 
-def _scaled(column: str, scale: float) -> Any:
-    return column if scale == 1.0 else {"column": column, "scale": scale}
+def scaled(column: str, scale: float) -> Any:
+    """A column in a map, with its scale where it has one."""
+    if scale == 1.0:
+        return column
+    table = tomlkit.inline_table()
+    table.update(column=column, scale=scale)
+    return table
 
 
 def _numbers(table: CsvTable, rows: Iterable[list[str]], column: int) -> NDArray[np.float64]:
@@ -113,7 +118,7 @@ def change(proposal: Proposal, line: str) -> str:
     try:
         factor = float(scale or 1.0)
         if section == "columns":
-            table[name] = _scaled(value, factor)
+            table[name] = scaled(value, factor)
         else:
             table[name] = float(value) if section == "vesc" else value
     except ValueError:
@@ -132,13 +137,5 @@ def list_sections(proposal: Mapping[str, Any]) -> dict[str, str]:
 
 def format_map(proposal: Proposal, source: str) -> str:
     """The proposal as the text of a map."""
-    lines = [f"# Which quantity is what in {source}; value = scale * cell."]
-    for section, table in ((name, table) for name, table in proposal.items() if table):
-        lines += [f"[{section}]", *(f"{key} = {_toml(value)}" for key, value in table.items()), ""]
-    return "\n".join(lines)
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, dict):
-        return f"{{{', '.join(f'{key} = {_toml(each)}' for key, each in value.items())}}}"
-    return str(tomlkit.item(value).as_string())
+    head = f"# Which quantity is what in {source}; value = scale * cell.\n"
+    return head + tomlkit.dumps({name: table for name, table in proposal.items() if table})

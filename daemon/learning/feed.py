@@ -36,12 +36,9 @@ from steerd.steer_bus.topics import Topic
 from steerd.sysid.data.dataset import RAMP_ERPM
 from steerd.vesc_link.scaling import F1TENTH, Scaling, erpm_to_speed
 
-NEEDED = (*LEARNT_FROM, topics.WHEEL)
-"""Topics that the learner is fed by."""
-STILL = 0.1
-"""A step smaller than this share of the largest is none: the design stays."""
-PAUSE_NS = 15_000_000_000
-"""After a refusal nothing is proposed for so long."""
+NEEDED = (*LEARNT_FROM, topics.WHEEL)  # topics that the learner is fed by
+STILL = 0.1  # a step smaller than this share of the largest is none: the design stays
+PAUSE_NS = 15_000_000_000  # after a refusal nothing is proposed for so long
 
 
 @dataclass(frozen=True)
@@ -159,9 +156,7 @@ class Feed:
 
 
 _SD = "_sd"
-_LEARNT = tuple(
-    field.name.removesuffix(_SD) for field in fields(m.Model) if field.name.endswith(_SD)
-)
+_LEARNT = tuple(f.name.removesuffix(_SD) for f in fields(m.Model) if f.name.endswith(_SD))
 """The car's numbers that the message has fields for."""
 _UNKNOWN = Value("", nan, nan, "", False)
 _NO_CHANGE = ReportedChange(-1, -1, "none", "", nan, (), ())

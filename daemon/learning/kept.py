@@ -22,15 +22,12 @@ from steerd.daemon.learning.reported import describe_change, reported_changes, r
 from steerd.steer_bus import messages as m
 from steerd.toml_text import parse_toml
 
-METADATA = "steerd.learner"
-"""Metadata of a session whose learner began with an earlier drive's numbers."""
-SIZE_MAX = 100_000
-"""A kept page is small; what is larger is something else [bytes]."""
+METADATA = "steerd.learner"  # of a session whose learner began with an earlier drive's numbers
+SIZE_MAX = 100_000  # a kept page is small; what is larger is something else [bytes]
 AHEAD_NS = 60_000_000_000
 """A page this much younger than now is one from the future: less is a clock that was set."""
 DAY_NS = 86_400_000_000_000
-EVERY_NS = 60_000_000_000
-"""Drive time between two writings."""
+EVERY_NS = 60_000_000_000  # drive time between two writings
 _HEAD = "# sha256 "
 _ABOUT = "# What steerd learnt while driving; written anew by `steerd run --learn`.\n"
 

@@ -36,8 +36,7 @@ class ReportedChange(NamedTuple):
     effect: str  # its name, empty unless it is named
     confidence: float  # NaN unless it is named
     alternatives: tuple[str, ...]  # effects that the drive cannot distinguish from it
-    # Of the effect, by how much they moved (see `sim_gap.online.values`)
-    parameters: tuple[ReportedValue, ...]
+    parameters: tuple[ReportedValue, ...]  # of the effect, by how much they moved (`online.values`)
 
 
 def pack(values: Sequence[tuple[Any, ...]], changes: Sequence[ReportedChange]) -> str:
@@ -73,10 +72,8 @@ def _or_nan(value: float | None) -> float:
 
 # -- in words -------------------------------------------------------------------------------------
 
-LABEL = 13
-"""Columns of a label."""
-QUIET = ("learning", "none")
-"""Verdicts of a car that did not change."""
+LABEL = 13  # columns of a label
+QUIET = ("learning", "none")  # verdicts of a car that did not change
 _VERDICTS = {
     "learning": "learning the car",
     "none": "no change of the car",

@@ -11,7 +11,7 @@ import contextlib
 import os
 import re
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -26,6 +26,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, readi
 from steerd.daemon.common.row_file import RowFile
 from steerd.daemon.common.screen import clean, cut, wrap
 from steerd.daemon.common.written import write_whole
+from steerd.daemon.settings.run_options import RunOptions, recorded_options
 from steerd.sysid.report.report import Card, Cell, Report, Section, Table
 from steerd.toml_text import load_toml
 
@@ -190,7 +191,7 @@ def summarise(path: Path) -> Entry:
         report = make_session_report(read)
         with reading(path):
             missing_s = 1e-9 * sum(last - first for first, last in read.session.holes())
-            lane, followed = _lane(report.info.metadata.get("steerd.session", {}))
+            lane, followed = _lane(recorded_options(report.info.metadata))
     except SteerdError as error:
         return Entry(path, changed_ns, verdict=clean(f"unreadable: {error}", 60))
     errors = read.lane_errors.tolist() if followed else []
@@ -211,13 +212,9 @@ def summarise(path: Path) -> Entry:
     )
 
 
-def _lane(about: Mapping[str, str]) -> tuple[str, bool]:
+def _lane(options: RunOptions | None) -> tuple[str, bool]:
     """What was driven, a plan or a path with its speed, and whether a lane was followed."""
-    from steerd.daemon.settings.run_options import decode_options
-
-    try:
-        options = decode_options(about.get("options", ""))
-    except ValueError:
+    if options is None:
         return "", True
     if options.drill:
         return clean(options.drill.partition(";")[0], 24), "closed" in options.drill

@@ -119,9 +119,8 @@ def check_same_lane(drives: Sequence[LaneSession]) -> None:
         raise UsageError(what, "name fewer")
     first = drives[0]
     for other in drives[1:]:
-        same = len(first.lane.x) == len(other.lane.x)
-        same = same and np.allclose(first.lane.x, other.lane.x, atol=0.01)
-        if not (same and np.allclose(first.lane.y, other.lane.y, atol=0.01)):
+        one, two = (np.array([drive.lane.x, drive.lane.y]) for drive in (first, other))
+        if one.shape != two.shape or not np.allclose(one, two, atol=0.01):
             what = f"{first.name} drives {first.lane.name}, {other.name} {other.lane.name}"
             hint = "compare drives of one --path: places along different lanes do not match"
             raise SteerdError(what, hint, ExitCode.INVALID)
@@ -145,13 +144,12 @@ def compare_on_lane(drives: Sequence[LaneSession]) -> list[Section]:
             along = (0.0, drives[0].lane.length)
             axis.set(title=title, xlabel="place along the lane [m]", xlim=along)
 
-    curves = Diagrams(plot, 2.0, count=len(_PANELS), colours=colours)
     return [
         Section(table=Table(heads, list(_lane_rows(drives)))),
         Section(
             "At the same place along the lane",
             "Dots are single samples of every lap, the line is their mean at that place.",
-            figures=[curves],
+            figures=[Diagrams(plot, 2.0, count=len(_PANELS), colours=colours)],
         ),
         Section("Tracks", figures=[Diagrams(_plot_tracks, 4.2, (drives,))]),
     ]
@@ -189,8 +187,7 @@ def _plot_tracks(axis: Axes, drives: Sequence[LaneSession]) -> None:
 # -- over time -------------------------------------------------------------------------------------
 
 STEP = 0.01  # of the common axis [s]
-REFINED = 0.5
-"""Within this of the strongest correlation the best likeness is taken for the shift [s]."""
+REFINED = 0.5  # within this of the strongest correlation the best likeness is the shift [s]
 LEAST_SHARE = 0.01
 """Least height of a difference's axis to either side, as a share of the first drive's largest."""
 _MOTION = ("speed", "steering angle (left +)", "yaw rate")
@@ -257,8 +254,7 @@ def overlay(first: Recording, second: Recording, shift: float | None = None) -> 
     t = np.arange(max(0.0, at), min(lengths[0], lengths[1] + at), STEP)
     if len(t) < 2:
         what = f"shifted by {at:g} s the drives have no time in common"
-        hint = f"they last {lengths[0]:.1f} s and {lengths[1]:.1f} s"
-        raise UsageError(what, hint)
+        raise UsageError(what, f"they last {lengths[0]:.1f} s and {lengths[1]:.1f} s")
     pairs = {}
     for title, curve in curves.items():
         one, other = _sample(curve[0], t), _sample(curve[1], t - at)

@@ -83,12 +83,11 @@ def make_track(t: Array, x: Array, y: Array, yaw: Array) -> Track | None:
     if len(order) < 3:
         return None
     t, x, y, yaw = t[order], x[order], y[order], np.unwrap(yaw[order])
-    pose = Signal(t, np.column_stack([x, y, yaw]))
     # White noise of deviation s has second differences of deviation sqrt(6) s, and a difference
     # over a window w has sqrt(2) s / w.
     power = float(np.mean(np.diff(x, 2) ** 2 + np.diff(y, 2) ** 2)) / 2.0
     window = min(max(sqrt(power / 3.0) / _SPEED_NOISE, WINDOW), WINDOW_MAX)
-    at, slopes = pose_slopes(pose, window)
+    at, slopes = pose_slopes(Signal(t, np.column_stack([x, y, yaw])), window)
     gaps = np.cumsum(np.diff(t, prepend=t[0]) > GAP_MAX)
     whole = gaps[len(t) - len(at) :] == gaps[: len(at)]
     at, slopes = (at[whole], slopes[whole]) if whole.any() else (at, np.nan * slopes)
@@ -177,8 +176,7 @@ def _check_heading(track: Track) -> list[str]:
     total = float(distance[-1])
     if not 1.0 <= total < 1e7:
         return []
-    step = max(_STEP, total / _STEPS_MAX)
-    at = np.arange(0.0, total, step)
+    at = np.arange(0.0, total, max(_STEP, total / _STEPS_MAX))
     x, y = np.interp(at, distance, track.x), np.interp(at, distance, track.y)
     yaw = np.interp(at[1:-1], distance, track.yaw)
     path = _wrap(np.diff(np.arctan2(np.diff(y), np.diff(x))))

@@ -15,7 +15,7 @@ from steerd.daemon.common.errors import reading
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import Recording
 from steerd.daemon.sessions.motion import Track, rms
-from steerd.daemon.settings.run_options import decode_options
+from steerd.daemon.settings.run_options import recorded_options
 from steerd.steer_bus import topics
 from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session_read import Session, SessionError
@@ -26,8 +26,7 @@ from steerd.sysid.data.dataset import read_erpm
 from steerd.toml_text import decode_toml, parse_toml
 
 NIS_95 = 7.815  # 95 % of a chi-squared distribution with 3 degrees of freedom lie below
-LANE_HALF_WIDTH = 0.30
-"""[m], where the lateral watchdog stops the car unless the car file says otherwise."""
+LANE_HALF_WIDTH = 0.30  # where the lateral watchdog stops a car whose file does not say [m]
 GAP = 0.5  # a line breaks where samples are further apart [s]
 
 
@@ -108,11 +107,10 @@ def load_lane(session: Session) -> Lane | None:
 
     A path file comes from the session itself, never from this machine's disk.
     """
-    text = session.info().metadata.get("steerd.session", {}).get("options", "")
+    options = recorded_options(session.info().metadata)
+    if options is None or (options.drill and "closed" not in options.drill):
+        return None
     try:
-        options = decode_options(text)
-        if options.drill and "closed" not in options.drill:
-            return None
         with recorded_path(session, options.path) as spec:
             return parse_path(spec)
     except (ValueError, SessionError):
@@ -164,8 +162,7 @@ def _list_panels(s: Recording) -> Iterator[Panel]:
     yield _panel("control tick", "ms", _timing(s))
     yield _panel("latency", "ms", _latency(s))
     brake = line(topics.ACTUATION, "brake_current_a", "brake commanded", "command")
-    motor = line(topics.VESC, "current_motor", "motor", "measured")
-    yield _panel("current", "A", brake, motor)
+    yield _panel("current", "A", brake, line(topics.VESC, "current_motor", "motor", "measured"))
     yield from _learnt(s)
 
 

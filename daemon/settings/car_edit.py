@@ -41,14 +41,9 @@ def edit_car(base: CarFile, values: Values) -> CarFile:
 
 
 def edit_document(document: Any, values: Values) -> None:
-    """Set values in the TOML document of a car file."""
+    """Set values in the TOML document of a car file, comments kept."""
     for (section, key), value in values.items():
-        table: Any = document.setdefault(section, tomlkit.table())
-        old = table.get(key)
-        table[key] = value
-        if old is not None and hasattr(old, "trivia"):
-            table[key].trivia.comment = old.trivia.comment
-            table[key].trivia.comment_ws = old.trivia.comment_ws
+        document.setdefault(section, tomlkit.table())[key] = value
 
 
 # -- vesc.yaml -------------------------------------------------------------------------------------

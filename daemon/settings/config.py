@@ -181,11 +181,7 @@ def _list_contradictions(s: Settings) -> Iterator[_Contradiction]:
 
 
 def _read(car_file: CarFile, name: str, make: Callable[[Mapping[str, Any]], S]) -> S:
-    """A section as what a room makes of it.
-
-    Raises:
-        SteerdError: it is no table, or the room refuses it; names file and section.
-    """
+    """A section as what a room makes of it; what it refuses is said with file and section."""
     table = car_file.sections.get(name, {})
     if not isinstance(table, Mapping):
         raise SteerdError(f"{car_file.path}: [{name}] must be a table")
@@ -197,15 +193,12 @@ def _read(car_file: CarFile, name: str, make: Callable[[Mapping[str, Any]], S]) 
 
 def _at_speed(car_file: CarFile, speed: float | None) -> ControllerConfig:
     """The file's controller, at the cruise speed that was asked for beside it."""
-
-    def load(table: Mapping[str, Any]) -> ControllerConfig:
-        return load_controller_config({k: v for k, v in table.items() if k != "rate_hz"})
-
-    config = _read(car_file, "controller", load)
-    if speed is None:
-        return config
+    config = _read(
+        car_file, "controller",
+        lambda table: load_controller_config({k: v for k, v in table.items() if k != "rate_hz"}),
+    )  # fmt: skip
     with refusing("--speed: ", code=ExitCode.INVALID):
-        return load({**car_file.sections.get("controller", {}), "speed": speed})
+        return config if speed is None else replace(config, speed=speed)
 
 
 def _names(cls: type[Any]) -> tuple[str, ...]:
@@ -222,8 +215,7 @@ def _convert(table: Mapping[str, Any], cls: type[S], others: Collection[str] = (
     return msgspec.convert(own, cls)
 
 
-FRAME_ANGLES = ("world_yaw", "mount_yaw")
-"""Of a `FrameConfig`; tables give them in degrees, as `NAME_deg`."""
+FRAME_ANGLES = ("world_yaw", "mount_yaw")  # of a `FrameConfig`; tables give degrees, as `NAME_deg`
 
 
 def read_frame(table: Mapping[str, Any]) -> FrameConfig:

@@ -1,7 +1,9 @@
 """Options of a drive, as one value that goes to the processes as JSON."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import msgspec
 
@@ -40,8 +42,7 @@ class RunOptions:
     drill: str = ""  # excitation plan of `steerd collect` (see `plans.parse_drill`), or ""
     view: str = ""  # ``[HOST:]PORT`` of the viewer's WebSocket, or "" for none
     ros_domain: int | None = None
-    # Car file of the simulated car, or `hidden:SEED`; "" for the car file's own car
-    sim_car: str = ""
+    sim_car: str = ""  # car file of the simulated car, or `hidden:SEED`; "" for the car file's own
     page: int | None = None  # port of the live page on loopback, 0 for a free one; None for no page
     view_sets: bool = False
     learn: bool = False
@@ -60,3 +61,11 @@ def decode_options(text: str) -> RunOptions:
         msgspec.ValidationError: if the text is not such options.
     """
     return msgspec.json.decode(text, type=RunOptions)
+
+
+def recorded_options(metadata: Mapping[str, Mapping[str, Any]]) -> RunOptions | None:
+    """The options of a drive by its session's metadata; None where steerd did not drive."""
+    try:
+        return decode_options(metadata.get("steerd.session", {}).get("options", ""))
+    except ValueError:
+        return None

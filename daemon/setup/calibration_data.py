@@ -1,7 +1,7 @@
 """What both calibrations use: a session's poses, wheel speed and car file, and least squares."""
 
-import contextlib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.common.errors import SteerdError, make_car_file_error
 from steerd.daemon.sessions.info import Recording, load_recording
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
-from steerd.daemon.settings.run_options import decode_options
+from steerd.daemon.settings.run_options import recorded_options
 from steerd.daemon.setup.mocap_check import Movement
 from steerd.mocap_link.frame import make_planar_pose
 from steerd.mocap_link.mocap_url import parse_mocap_url
@@ -30,6 +30,7 @@ class Recorded:
 
     settings: Settings  # of the car file that the drive used
     poses: Columns  # columns of the accepted poses, times increasing
+    refused: int  # number of the others
     read: Recording  # every topic's columns
 
 
@@ -66,7 +67,7 @@ def load_recorded(path: Path) -> Recorded:
     order = np.argsort(kept["t_valid_ns"], kind="stable")
     order = order[np.diff(kept["t_valid_ns"][order], prepend=0) > 0]
     kept = {name: column[order] for name, column in kept.items()}
-    return Recorded(settings, kept, read)
+    return Recorded(settings, kept, int((~good).sum()), read)
 
 
 def load_movement(path: Path) -> tuple[Movement, int]:
@@ -76,10 +77,9 @@ def load_movement(path: Path) -> tuple[Movement, int]:
         SteerdError: it cannot be read, or lacks poses.
     """
     r = load_recorded(path)
-    every = r.read.table(topics.MOCAP)
     columns = (r.poses[name] for name in ("x", "y", "yaw", "height", "tilt"))
-    refused = 0 if every is None else int((every["reject"] != "").sum())
-    return Movement((r.poses["t_valid_ns"] - r.poses["t_valid_ns"][0]) * 1e-9, *columns), refused
+    t = (r.poses["t_valid_ns"] - r.poses["t_valid_ns"][0]) * 1e-9
+    return Movement(t, *columns), r.refused
 
 
 def make_drive(r: Recorded) -> Drive:
@@ -102,10 +102,9 @@ def make_drive(r: Recorded) -> Drive:
     else:
         raise SteerdError("the session holds no wheel speed")
     frame, start_ns = r.settings.ingest.frame, p["t_valid_ns"][0]
-    about = r.read.info.metadata.get("steerd.session", {})
-    with contextlib.suppress(ValueError):
-        url = parse_mocap_url(decode_options(about.get("options", "")).mocap or "")
-        frame = url.apply(frame)
+    options = recorded_options(r.read.info.metadata)
+    with suppress(ValueError):  # an address of another version
+        frame = parse_mocap_url((options and options.mocap) or "").apply(frame)
     frame = replace(frame, mount_yaw=0.0, marker_rear_x=0.0, marker_rear_y=0.0,
                     cog_ahead_of_rear=0.0)  # fmt: skip
     raw = zip(*(p[name].tolist() for name in ("x_raw", "y_raw", "z_raw")), strict=True)

@@ -19,11 +19,9 @@ _GYM_WIDTH, _GYM_LENGTH = 0.31 / 0.3302, 0.58 / 0.3302  # outline of f1tenth_gym
 _RADIUS, _TRACK = 0.15, 0.76  # a wheel's radius and the track of an F1TENTH car per wheelbase
 _WHEEL_MASS, _WHEEL_YAW = 0.02, 0.25
 """Most of the car's mass that one wheel may have, and of its yaw inertia that all four may."""
-_ROLL, _PITCH = 0.35, 0.8
-"""Inertia of the body about its long and its cross axis per yaw inertia: of a flat box."""
+_ROLL, _PITCH = 0.35, 0.8  # inertia about long and cross axis per yaw inertia: of a flat box
 _STEP = 0.002  # MuJoCo's step [s]
-_IMPEDANCE = 0.99
-"""Of the contacts, MuJoCo's `solimp`, at every depth: near 1, where creep is easily said."""
+_IMPEDANCE = 0.99  # MuJoCo's `solimp` at every depth: near 1, where creep is easily said
 _KNUCKLE, _KNUCKLE_INERTIA = 20.0, 1e-3
 """Stiffness [N m/rad] and inertia [kg m^2] of a steered wheel: 141 rad/s, ten times a servo."""
 
@@ -128,8 +126,7 @@ def make_mjcf(file: CarFile, speed: float) -> Export:
         "stiff": car.mass / max(car.speed_lag, 5.0 * _STEP),
         "g": lambda *numbers: " ".join(f"{number:.6g}" for number in numbers),
     }  # fmt: skip
-    text = render_page(_MJCF, **values, **_share_mass(car, wheels)) + "\n"
-    return Export(text, tuple(lost))
+    return Export(render_page(_MJCF, **values, **_share_mass(car, wheels)) + "\n", tuple(lost))
 
 
 def _share_mass(car: Car[float], wheels: list[_Wheel]) -> dict[str, Any]:

@@ -31,15 +31,13 @@ RATE = 100.0  # sampling rate of the velocities [Hz]
 WINDOW = 0.25  # window of the Savitzky-Golay filter that differentiates [s]
 ORDER = 3  # its polynomial order
 GAP = 0.1  # no velocity is taken across a longer gap between poses [s]
-SLIP_PRIOR_SHARE = 0.5
-"""Standard deviation of the prior of the slip, as a share of the car file's value [-]."""
+SLIP_PRIOR_SHARE = 0.5  # standard deviation of the slip's prior per the car file's value [-]
 LATERAL_NOISE = 0.03
 """Noise of a lateral velocity, for the weight of that prior [m/s]: 6 mm/s, correlated over the 25
 samples of `WINDOW`."""
 SECONDS_MIN, TURN_MIN, SPEED_SPREAD_MIN = 5.0, 0.15, 0.1
 """Least motion [s], turning [rad/s, rms] and change of speed [m/s, rms] of a drive."""
-GAIN_MIN, GAIN_MAX = 0.2, 5.0
-"""Gains of the wheels beyond these are a wrong unit or another car [-]."""
+GAIN_MIN, GAIN_MAX = 0.2, 5.0  # beyond these the wheels' gain is a wrong unit or another car [-]
 GAIN_MODEL = 0.002
 """Standard error of the wheels' gain by the equations alone, as a share [-]: simulated drives."""
 ITERATIONS = 4  # iterations of the heading, whose equation is linearised [-]
@@ -108,8 +106,7 @@ def calibrate_mount(drive: Drive, car: Car[float], front: float = 0.0) -> MountC
         speed_gain=float(np.hypot(sd.speed_gain, GAIN_MODEL * mount.speed_gain)),
     )
     seconds = float(motion.good.sum()) / RATE
-    warnings = tuple(_find_warnings(motion, drive))
-    return MountCalibration(mount, sd, seconds, warnings, residual)
+    return MountCalibration(mount, sd, seconds, tuple(_find_warnings(motion, drive)), residual)
 
 
 def _differentiate(drive: Drive) -> _Motion:

@@ -105,11 +105,7 @@ def _drive(chosen: tuple[Effect, ...]) -> list[tuple[float, ...]]:
 
 
 def _build_or_restore(target: Path, before: bytes | None) -> None:
-    """Build in a process of its own, which sees the files as they are now.
-
-    Raises:
-        SteerdError: it failed; the file is as it was, and so is the library.
-    """
+    """Build in a process that sees the files as they are; where that fails, all is as it was."""
     here = _FOLDER.parents[2]  # of this installation, whatever lies in the user's own folder
     done = subprocess.run(
         [sys.executable, "-m", _BUILD], cwd=here, capture_output=True, text=True, check=False

@@ -184,9 +184,8 @@ def _judge_poses(seen: MocapSeen) -> Iterator[Advice]:
             yield Advice(f"{count} of {seen.samples} poses are rejected: {check}", fix)
     reported = any(check == "tilt" for check, _ in seen.refused)
     if seen.tilt is not None and seen.tilt > TILT_MAX and not reported:
-        what = f"the body leans by {degrees(seen.tilt):.0f}° while the car stands"
         fix = "reset the body's orientation in the mocap software with the car on the floor"
-        yield Advice(what, fix)
+        yield Advice(f"the body leans by {degrees(seen.tilt):.0f}° while the car stands", fix)
 
 
 def read_sockets(text: str, kind: str) -> Iterator[SocketFound]:

@@ -101,8 +101,7 @@ def _ask_vesc(port: Port, clock: Clock) -> VescFound | None:
         return None
     answers: list[Answer] = []
     for _ in range(POLLS):
-        wire = link.make_tick(Drive(), clock.now_ns())
-        answers += _exchange(port, link, clock, wire, POLL_NS)
+        answers += _exchange(port, link, clock, link.make_tick(Drive(), clock.now_ns()), POLL_NS)
     polled = [(a, a.reply) for a in answers if isinstance(a.reply, Values)]
     last = polled[-1][1] if polled else None
     trips = [(a.t_received_ns - a.t_sent_ns) * 1e-6 for a, _ in polled]

@@ -188,14 +188,12 @@ def _format_command(name: str, value: float, digits: str, unit: str) -> str:
 
 def closing_lines(plan: RunPlan, tally: Tally, session: Path) -> Iterator[str]:
     """Distance, errors, session and next command; open-loop plans have no lateral error."""
-    collected = plan.drill is not None
-    followed = plan.drill is None or plan.drill.closed
-    yield tally.describe(lane=followed)
+    yield tally.describe(lane=plan.drill is None or plan.drill.closed)
     # Of a folder that nobody chose, commands find the last drive by themselves.
     usual = session.parent == sessions_folder()
     name = "@last" if usual else shlex.quote(str(session))
     yield f"session: {below_home(session) if usual else session}"
-    if collected:
+    if plan.drill is not None:
         own = plan.options.car_file not in ("", str(default_car_path()))
         car = f" --car {shlex.quote(plan.options.car_file)}" if own else ""
         yield f"   next: steerd identify {name}{car} -o car.toml"

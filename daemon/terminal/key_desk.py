@@ -35,8 +35,7 @@ NUDGES = {
 BACK = "0"  # this key asks for the path and the designed feedback again
 NUDGE_HELP = "speed [-][+]  lane left [<] right [>]  gain [[][]]  path and gain back [0]"
 _HELD = tuple(SupervisorState[name] for name in ("SELF_TEST", "ARMED", "RUNNING", "STOPPING"))
-_ANSWER_NS = 1_500_000_000
-"""A car that is not yet in a held state after this time refused to arm [ns]."""
+_ANSWER_NS = 1_500_000_000  # a car that is in no held state after this time refused to arm
 
 
 def nudge(parameters: Parameters, wanted: Mapping[str, float], key: str) -> dict[str, float]:

@@ -25,8 +25,7 @@ from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.messages import RequestKind
 
 _POLL_MS = 50
-KILL_NS = 4_000_000_000
-"""A core that has not ended so long after a second signal is killed; its guardian brakes."""
+KILL_NS = 4_000_000_000  # from a second signal to the kill of the core, whose guardian brakes
 
 
 class Terminal:
@@ -121,8 +120,7 @@ class Terminal:
             self._desk.on_key(key)
 
     def _ask(self, kind: RequestKind) -> None:
-        request = self._operator.make_request(kind, self._clock.realtime_ns())
-        self._send(topics.OPERATOR, request)
+        self._send(topics.OPERATOR, self._operator.make_request(kind, self._clock.realtime_ns()))
 
     def _tune(self, wanted: Mapping[str, float], name: str = "") -> None:
         request = self._operator.make_parameters(wanted, self._clock.realtime_ns(), name)

@@ -42,8 +42,7 @@ def find_car(bus: ZenohBus, name: str | None) -> str:
     Raises:
         SteerdError: no car is on the bus, not this one, or several and none is named.
     """
-    alive = bus.alive(f"{ROOT}/*/alive")
-    cars = sorted(parts[0] for key in alive if (parts := split_key(key)))
+    cars = sorted(parts[0] for key in bus.alive(f"{ROOT}/*/alive") if (parts := split_key(key)))
     if name is not None and name in cars:
         return name
     if not cars:
@@ -125,10 +124,9 @@ class Watch:
         parts += [Text("messages per second", style="dim"), Columns(cells, padding=(0, 2))]
         if self.vesc is not None:
             v = self.vesc
-            style = "red" if v.fault_code > 0 else ""
             figures = f"{show(v.v_in, '.1f')} V  {show(v.current_motor, '+.1f')} A"
             figures += f"  {show(v.temp_fet, '.0f')} °C  fault: {self.fault}"
-            parts.append(Text(f"VESC  {figures}", style))
+            parts.append(Text(f"VESC  {figures}", "red" if v.fault_code > 0 else ""))
         if self.undecodable:
             parts.append(Text(f"{self.undecodable} messages of another steerd version", "yellow"))
         return Group(*parts)

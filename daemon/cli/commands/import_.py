@@ -6,24 +6,28 @@ import sys
 import tempfile
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from msgspec import structs
+
 from steerd.daemon.cli.arguments import missing_file, option
-from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, refusing
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import print_labelled, wrap
 
 if TYPE_CHECKING:
+    from steerd.daemon.imports.import_map import ImportMap
     from steerd.daemon.imports.import_session import ImportReport
     from steerd.daemon.imports.propose import Proposal
     from steerd.daemon.sessions.info import SessionReport
     from steerd.daemon.sessions.motion import Track
 
-Trial = Callable[[Path, Path], object]  # imports by a map file into a session file
+Trial = Callable[["ImportMap", Path], object]  # imports by a map into a session file
 _KINDS = ("csv", "bag")
 _BAG_SUFFIXES = (".bag", ".db3", ".mcap", ".zstd")
 _LEFT, _MM = "must be left positive", "millimetres"
@@ -60,7 +64,10 @@ def import_log(args: Namespace) -> None:
     if kind == "csv" and the_map is None:
         hint = f"`steerd import --ask {source}` proposes one; {EXAMPLE_MAP} is one"
         raise UsageError("a csv file needs a map of its columns, --map", hint)
-    _print_result(_import(args, kind, source, the_map, out), args, the_map)
+    from steerd.daemon.imports.import_map import ImportMap, load_map
+
+    read = load_map(the_map) if the_map else ImportMap()
+    _print_result(_import(args, kind, source, read, out), args, the_map)
 
 
 def _read_words(words: list[str]) -> tuple[str, Path]:
@@ -77,18 +84,25 @@ def _read_words(words: list[str]) -> tuple[str, Path]:
 
 
 def _import(
-    args: Namespace, kind: str, source: Path, the_map: Path | None, out: Path
+    args: Namespace, kind: str, source: Path, the_map: "ImportMap", out: Path
 ) -> "ImportReport":
-    if kind == "csv":
-        from steerd.daemon.imports.csv_log import import_csv
+    from steerd.daemon.imports.import_map import VescSpec
 
-        size = source.stat().st_size if source.is_file() else 1
-        with show_progress(f"reading {source.name}", size, even=True) as advance:
-            return import_csv(source, the_map or Path(), out, advance, args.erpm_gain)
-    from steerd.daemon.imports.bag import import_bag
+    if args.rigid is not None:
+        the_map = replace(the_map, rigid=args.rigid)
+    if args.erpm_gain is not None:
+        with refusing(f"--erpm-gain {args.erpm_gain:g}: "):
+            vesc = structs.replace(the_map.vesc or VescSpec(), erpm_gain=args.erpm_gain)
+        the_map = replace(the_map, vesc=vesc)
+    size = source.stat().st_size if kind == "csv" and source.is_file() else 1.0
+    with show_progress(f"reading {source.name}", size, even=True) as advance:
+        if kind == "csv":
+            from steerd.daemon.imports.csv_log import import_csv
 
-    with show_progress(f"reading {source.name}", 1.0, even=True) as advance:
-        return import_bag(source, the_map, out, advance, args.topic, args.rigid, args.erpm_gain)
+            return import_csv(source, the_map, out, advance)
+        from steerd.daemon.imports.bag import import_bag
+
+        return import_bag(source, the_map, out, advance, args.topic)
 
 
 def _print_result(made: "ImportReport", args: Namespace, the_map: Path | None) -> None:
@@ -131,9 +145,8 @@ def _agree(args: Namespace, kind: str, source: Path, out: Path) -> Path:
         from steerd.daemon.imports.bag import propose_bag
 
         proposal = propose_bag(source)
-    text = _ask(proposal, source, partial(_import, args, kind, source))
     the_map = out.with_suffix(".map.toml")
-    write_outputs({the_map: text})
+    write_outputs({the_map: _ask(proposal, source, partial(_import, args, kind, source))})
     print(f"written: {the_map}")
     return the_map
 
@@ -192,24 +205,17 @@ def _show(proposal: "Proposal", source: Path, trial: Trial, *, fix: bool) -> str
 def _try(
     proposal: "Proposal", source: Path, trial: Trial
 ) -> tuple[list[str], tuple[str, ...], float | None]:
-    """What the map makes of the log: in words, what looks wrong, ERPM per m/s by the poses.
-
-    Raises:
-        SteerdError: it cannot be imported like this.
-    """
+    """What the map makes of the log: in words, what looks wrong, ERPM per m/s by the poses."""
+    from steerd.daemon.imports.import_map import parse_map
     from steerd.daemon.imports.propose import format_map
     from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.motion import find_erpm_gain, round_gain
     from steerd.steer_bus.topics import VESC
 
+    with refusing("the map: "):
+        the_map = parse_map(format_map(proposal, source.name))
     with tempfile.TemporaryDirectory(prefix="steerd-") as folder:
-        the_map, out = Path(folder) / "map.toml", Path(folder) / "trial.mcap"
-        the_map.write_text(format_map(proposal, source.name), encoding="utf-8")
-        try:
-            trial(the_map, out)
-        except SteerdError as error:
-            what = error.what.replace(f"map {the_map}", "the map")
-            raise SteerdError(what, error.hint, error.code) from error
+        trial(the_map, out := Path(folder) / "trial.mcap")
         read = load_recording(out)
         report, track = make_session_report(read), read.track
         gain = find_erpm_gain(track, read.signal(VESC, "erpm"))
@@ -238,12 +244,14 @@ def _lines(report: "SessionReport", track: "Track | None", gain: float | None) -
 
 def _fix(proposal: "Proposal", doubts: Sequence[str], erpm_gain: float | None) -> bool:
     """Change what the drive itself says must be otherwise; whether anything was."""
+    from steerd.daemon.imports.propose import scaled
+
     text, fixed = " ".join(doubts), False
     columns = proposal.get("columns", {})
     if _LEFT in text and "steer_cmd" in columns:
         old = columns["steer_cmd"]
         name, scale = (old, 1.0) if isinstance(old, str) else (old["column"], old["scale"])
-        columns["steer_cmd"], fixed = {"column": name, "scale": -scale}, True
+        columns["steer_cmd"], fixed = scaled(name, -scale), True
     if "topics" in proposal and _MM in text:
         proposal.setdefault("frame", {})["units"], fixed = "mm", True
     if erpm_gain is not None and "--erpm-gain" in text:

@@ -49,8 +49,7 @@ def identify_arguments(parser: ArgumentParser) -> None:
     option(out, "-o --output", "CAR.toml", "car file to write", type=Path)
     option(out, "--json", "FILE", "the result for programs; -: to the terminal", type=Path)
     option(out, "--report", "FILE.html", "the result with figures", type=Path)
-    where = parser.add_argument_group("where")
-    option(where, "--jobs", "N", "processes", type=int, default=1)
+    option(parser.add_argument_group("where"), "--jobs", "N", "processes", type=int, default=1)
 
 
 def identify(args: Namespace) -> int:

@@ -66,8 +66,7 @@ def operate(args: Namespace) -> int:
             operator.ask(0, kind)  # before anything is known of the car, and whatever it says
             return _stop(_Link(CarView(bus, args.name, clock), operator), kind)
         view = CarView(bus, args.name, clock).wait_heard(state=True)
-        leased = view.values.get("leased") == "1"
-        if kind in _HOLDING and args.no_hold and leased:
+        if kind in _HOLDING and args.no_hold and view.values.get("leased") == "1":
             what = f"{args.command} --no-hold: this car has a deadman and would stop after 0.3 s "
             hint = "`steerd arm` in one terminal and `steerd start` in another, both left open; "
             hint += "a car without a deadman says `deadman = false` under [safety]"

@@ -92,9 +92,7 @@ def make_options(args: Namespace) -> RunOptions:
             raise UsageError(what, hint)
     if args.view:
         check_view(args.view, args.insecure_lan, sets=args.view_sets)
-    given = {
-        each.name: getattr(args, each.name) for each in fields(RunOptions) if each.name in args
-    }
+    given = {f.name: getattr(args, f.name) for f in fields(RunOptions) if f.name in args}
     given |= {"car_file": args.car or "", "car": args.name, "duration_s": args.duration}
     given |= {"rate_hz": args.rate, "simulated": args.sim, "auto_arm": args.auto_arm or args.fast}
     given |= {"effects": tuple(args.effect), "controller": ControllerKind(args.controller)}
@@ -238,8 +236,7 @@ def _run_simulated(plan: "RunPlan", core: Child) -> int:
 
 
 _LIVE = "steerd.daemon.terminal.terminal"  # what a drive in real time loads first
-_BUSY = ("W1 ", "W7 ", "W8 ", "W9 ", "W15 ", "W16 ")
-"""Watchdogs that a machine without time for simulated hardware trips."""
+_BUSY = ("W1 ", "W7 ", "W8 ", "W9 ", "W15 ", "W16 ")  # watchdogs that a busy machine trips
 
 
 def _run_live(plan: "RunPlan", core: Child) -> tuple[int, str]:

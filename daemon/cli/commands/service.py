@@ -71,11 +71,7 @@ def service(args: Namespace) -> None:
 
 
 def _make_command(args: Namespace) -> list[str]:
-    """The command line of the run, checked.
-
-    Raises:
-        SteerdError: the options are wrong, or not those of a service.
-    """
+    """The command line of the run; a SteerdError for options that are wrong or no service's."""
     from steerd.daemon.assembly.build import make_plan
 
     if args.fast or args.auto_arm:

@@ -3,6 +3,7 @@
 import importlib.util
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.imports.bag import RIGIDS, RIGIDS_TEXT, import_bag
+from steerd.daemon.imports.import_map import parse_map
 from steerd.steer_bus.messages import Actuation, MocapPose, VescTelemetry, WheelSpeed
 from steerd.steer_bus.session_read import open_session
 
@@ -128,10 +130,8 @@ def make_bag(folder, kind, fill):
 
 
 def convert(folder, bag, *, topics=(), rigid=None, the_map=None):
-    out, map_path = folder / "out.mcap", folder / "map.toml" if the_map else None
-    if the_map:
-        map_path.write_text(the_map)
-    report = import_bag(bag, map_path, out, lambda done: None, topics, rigid)
+    out, made = folder / "out.mcap", replace(parse_map(the_map or ""), rigid=rigid)
+    report = import_bag(bag, made, out, lambda done: None, topics)
     return report, open_session(out)
 
 

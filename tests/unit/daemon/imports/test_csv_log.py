@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.imports.csv_log import LINE_MAX, import_csv
+from steerd.daemon.imports.import_map import load_map, parse_map
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.session_read import open_session
 
@@ -28,7 +29,7 @@ def convert(folder, text, the_map=ALL, name="run.csv"):
     source, map_path, out = folder / name, folder / "map.toml", folder / "out.mcap"
     source.write_bytes(text if isinstance(text, bytes) else text.encode())
     map_path.write_text(the_map)
-    report = import_csv(source, map_path, out, lambda done: None)
+    report = import_csv(source, load_map(map_path), out, lambda done: None)
     return report, open_session(out)
 
 
@@ -162,11 +163,10 @@ def test_what_was_perhaps_meant_is_said(tmp_path, text, the_map, part):
 
 def test_what_is_no_file_and_where_none_can_be_made(tmp_path):
     os.mkfifo(tmp_path / "fifo")
-    (the_map := tmp_path / "map.toml").write_text(WHEEL)
     (tmp_path / "a.csv").write_text("t,v\n0,1\n")
     for name, out in (("", "o"), ("fifo", "o"), ("none", "o"), ("a.csv", "no/o")):
         with pytest.raises(SteerdError) as caught:
-            import_csv(tmp_path / name, the_map, tmp_path / f"{out}.mcap", lambda done: None)
+            import_csv(tmp_path / name, parse_map(WHEEL), tmp_path / f"{out}.mcap", print)
         assert caught.value.code == ExitCode.UNREADABLE
 
 
