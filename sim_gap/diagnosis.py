@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import Effect
@@ -19,7 +18,7 @@ from steerd.sim_gap.verdict.confidence import Cause, Verdict, judge_case
 from steerd.sim_gap.verdict.next_manoeuvre import Manoeuvre, next_manoeuvre
 from steerd.sim_gap.verdict.residual_shape import Shape, Timeline, shape_of, timeline_of
 from steerd.sim_gap.verdict.shrinkage import Horizon, Shrinkage, cross_check, measure, predict
-from steerd.sim_gap.verdict.where import Where, locate
+from steerd.sim_gap.verdict.where import Fits, Where, locate
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
@@ -37,7 +36,7 @@ from steerd.sysid.inference.noise import (
     usual_noise,
 )
 from steerd.sysid.inference.predictor import Predictor, open_predictor
-from steerd.sysid.inference.residuals import Gap, blocks_of, folds_of, gap_of, settled, spun_windows
+from steerd.sysid.inference.residuals import Gap, settled, spun_windows
 from steerd.sysid.inference.search import Point
 from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
 
@@ -129,7 +128,6 @@ class _Search:
     known: bool
     floor: float  # what noise leaves of the whitened error
     found: Findings  # every hypothesis
-    blocks: NDArray[np.int64]  # (W,) windows that follow each other
 
     @property
     def predictor(self) -> Predictor:
@@ -203,8 +201,8 @@ def _search(
     found = explain(library, count, lambda share: progress("pairs", 0.2 + 0.5 * share))
     best = found.best.point
     white = make_likelihood(predictor, best.parameters, best.x, noise)
-    floor, blocks = noise_floor(predictor, float(signals[2])), blocks_of(predictor)
-    return _Search(case, library, white, noise, given is not None, floor, found, blocks)
+    floor = noise_floor(predictor, float(signals[2]))
+    return _Search(case, library, white, noise, given is not None, floor, found)
 
 
 def grown_leads(before: Gap, after: Gap) -> tuple[float, ...]:
@@ -218,24 +216,25 @@ def _conclude(search: _Search, progress: Progress, written: Callable[[str], None
     """Everything that follows from the hypotheses."""
     predictor, found, case = search.predictor, search.found, search.case
     judged = judge_case(search.library, found, search.known)
-    fixed, names = make_space(predictor.augmented, ()), [run.name for run in case.runs]
+    fixed = make_space(predictor.augmented, ())
     before = settled(search.likelihood, fixed, fixed.centre)
     chosen = (found.best if judged.causes else found.null).point
     after = settled(search.likelihood, chosen.space, chosen.z, chosen.x)
-    spun = spun_windows(after)
-    gaps = [gap_of(predictor, fit, search.blocks, spun) for fit in (before, after)]
+    names = [run.name for run in case.runs]
+    fits = Fits(search.likelihood, before, after, search.noise, search.floor, names)
+    gaps = fits.gaps()
     progress("where", 0.75)
-    where = locate(search.likelihood, before, after, search.noise, search.blocks, names)
+    where = locate(fits)
     progress("shrinkage", 0.85)
-    shrinkage = _shrinkage(search, before, after, written)
+    shrinkage = _shrinkage(search, fits, written)
     following = None
     for cause in [cause for cause in judged.causes if cause.ambiguous_with][:1]:
-        pair, library = (cause.effect, cause.ambiguous_with[0]), search.library
-        following = next_manoeuvre(search.likelihood, after, library.nuisance, search.noise, pair)
-    verdict, notes = judged.name, _notes(search, judged, int(spun.sum()))
+        pair = (cause.effect, cause.ambiguous_with[0])
+        following = next_manoeuvre(fits, search.library.nuisance, pair)
+    verdict, notes = judged.name, _notes(search, judged, int(spun_windows(after).sum()))
     horizons: tuple[Horizon, ...] = ()
     if case.horizons:
-        horizons, gaps = cross_check(predictor, case.runs, before, after, search.noise, gaps)
+        horizons, gaps = cross_check(fits, case.runs, gaps)
         far = any(gaps[0].position(lead) > most for lead, most in c.FAR.items())
         if verdict == "none" and far:
             verdict = "unjudged"
@@ -262,36 +261,29 @@ def _conclude(search: _Search, progress: Progress, written: Callable[[str], None
         ),
         shrinkage=shrinkage,
         next_manoeuvre=following,
-        shape=shape_of(search.likelihood, after),
+        shape=shape_of(fits),
         moved=dict(sorted(moved, key=lambda item: -abs(item[1]))),
         noise=search.noise,
         noise_known=search.known,
         notes=tuple(notes),
         values=search.values(chosen),
-        timeline=timeline_of(predictor, before, after, names),
+        timeline=timeline_of(fits),
         horizons=horizons,
     )
 
 
-def _shrinkage(
-    search: _Search, before: Point, after: Point, written: Callable[[str], None]
-) -> Shrinkage:
+def _shrinkage(search: _Search, fits: Fits, written: Callable[[str], None]) -> Shrinkage:
     """Predict, hand the prediction out, then measure on the reserved drives."""
-    predictor, effects, later = search.predictor, after.space.effects, search.case.later
-    share, low, high = predict(before, after, search.floor, search.blocks, folds_of(predictor))
-    text = json.dumps(
-        {
-            "effects": effects, "values": search.values(after), "predicted": share, "low": low,
-            "high": high,
-        },
-        sort_keys=True,
-    )  # fmt: skip
+    effects, later = fits.after.space.effects, search.case.later
+    share, low, high = predict(fits)
+    shares = {"predicted": share, "low": low, "high": high}
+    explained = {"effects": effects, "values": search.values(fits.after)}
+    text = json.dumps(explained | shares, sort_keys=True)
     predicted = Shrinkage(share, low, high, text, hashlib.sha256(text.encode()).hexdigest())
     written(text)
     if later is None or not effects:
         return predicted
-    reserved = open_predictor(predictor.augmented, later())
-    return measure(reserved, before, after, search.noise, search.floor, predicted)
+    return measure(fits, open_predictor(fits.predictor.augmented, later()), predicted)
 
 
 def _notes(search: _Search, judged: Verdict, spun: int) -> list[str]:
