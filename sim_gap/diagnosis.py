@@ -173,11 +173,8 @@ def _chosen(augmented: AugmentedCar, case: Case) -> tuple[Effect, ...]:
     if unknown:
         raise ValueError(f"no effect {unknown[0]!r}; `steerd effects` lists them")
     only = asked.only or informative_effects(augmented, case.runs)
-    return tuple(
-        e
-        for e in augmented.effects
-        if e.name in only and (e.changes or asked.only) and e.name not in asked.without
-    )
+    wanted = [e for e in augmented.effects if e.name in only and e.name not in asked.without]
+    return tuple(e for e in wanted if e.changes or asked.only)
 
 
 def _search(
@@ -207,9 +204,8 @@ def _search(
 
 def grown_leads(before: Gap, after: Gap) -> tuple[float, ...]:
     """Times after which the explanation leaves a larger position error than the base [s]."""
-    return tuple(
-        row[0] for row in before.errors if after.position(row[0]) > c.GROWN * row[1] + c.GROWN_LEAST
-    )
+    most = {lead: c.GROWN * off + c.GROWN_LEAST for lead, off, *_ in before.errors}
+    return tuple(lead for lead in most if after.position(lead) > most[lead])
 
 
 def _conclude(search: _Search, progress: Progress, written: Callable[[str], None]) -> Diagnosis:

@@ -11,13 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from steerd.car_model.model import Model
-from steerd.car_model.native.windows import (
-    HeldCommands,
-    compute_readings,
-    delays_of,
-    make_kernels,
-    parameter_vector,
-)
+from steerd.car_model.native import windows as compiled
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.windows import Layout, estimate_noise, make_layout, make_stations
@@ -65,17 +59,20 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
     """
     check_sources(runs)
     model = prescribe_speed(model, runs)
-    kernels, parameters = make_kernels(model.effects, model.chassis), parameter_vector(model)
-    late = float(delays_of(kernels, parameters)[2])
+    kernels = compiled.make_kernels(model.effects, model.chassis)
+    parameters = compiled.parameter_vector(model)
+    late = float(compiled.delays_of(kernels, parameters)[2])
     layout = make_layout(runs, _ROOM * (PAST + horizon), late)
     speeds = layout.window_speeds
     substeps = stable_substeps(model.car, speeds.min(), speeds.max(), layout.h)
-    held = HeldCommands(layout.commands, layout.h, substeps)
+    held = compiled.HeldCommands(layout.commands, layout.h, substeps)
     stations, windows = make_stations(layout, late, held.fine), layout.kernel_windows(substeps)
     seeds, dfirst = np.zeros((len(parameters), _STATES)), np.eye(_STATES)
 
     def look(x: Array) -> tuple[Array, Array]:
-        return compute_readings(kernels, parameters, seeds, x, dfirst, held, windows, stations)
+        return compiled.compute_readings(
+            kernels, parameters, seeds, x, dfirst, held, windows, stations
+        )
 
     sigma = np.maximum(estimate_noise(runs), _FLOORS)
     y, seen, found = look(_settle(layout, sigma, look))[0], layout.seen, []
