@@ -36,7 +36,7 @@ from steerd.sysid.inference.noise import (
     usual_noise,
 )
 from steerd.sysid.inference.predictor import Predictor, open_predictor
-from steerd.sysid.inference.residuals import Gap, settled, spun_windows
+from steerd.sysid.inference.residuals import Gap, Lead, settled, spun_windows
 from steerd.sysid.inference.search import Point
 from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
 
@@ -102,6 +102,12 @@ class Diagnosis:
     horizons: tuple[Horizon, ...] = ()  # the gap over other horizons
     lane: LaneComparison | None = None  # a session's lane, driven again in simulation
     lane_note: str = ""  # why it was not; empty if it was, or was not asked for
+
+    @property
+    def leads(self) -> list[tuple[Lead, Lead]]:
+        """Errors before and after by lead; windows may end just before the last."""
+        pairs = zip(self.before.errors, self.after.errors, strict=True)
+        return [pair for pair in pairs if pair[0].position.value > 0.0]
 
     @property
     def all_notes(self) -> tuple[str, ...]:
@@ -204,7 +210,7 @@ def _search(
 
 def grown_leads(before: Gap, after: Gap) -> tuple[float, ...]:
     """Times after which the explanation leaves a larger position error than the base [s]."""
-    most = {lead: c.GROWN * off + c.GROWN_LEAST for lead, off, *_ in before.errors}
+    most = {e.seconds: c.GROWN * e.position.value + c.GROWN_LEAST for e in before.errors}
     return tuple(lead for lead in most if after.position(lead) > most[lead])
 
 

@@ -151,10 +151,6 @@ def cross_check(
             continue
         found.append(Horizon(seconds, there[0].whitened, there[1].whitened))
         if seconds > 1.0:
-            gaps = [
-                replace(
-                    g, errors=(*g.errors, *more.errors), intervals=(*g.intervals, *more.intervals)
-                )
-                for g, more in zip(gaps, there, strict=True)
-            ]
+            both = zip(gaps, there, strict=True)
+            gaps = [replace(gap, errors=(*gap.errors, *more.errors)) for gap, more in both]
     return tuple(found), list(gaps)
