@@ -197,16 +197,11 @@ def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
 
 def _cause_sections(found: Diagnosis, shrinks: "Diagrams") -> Iterator[Section]:
     """How sure the causes are, and how far they shrink the gap."""
-    rows = [
-        (
-            cause.effect,
-            cause_words(cause),
-            f"{cause.confidence:.0%}",
-            "{0.summary}: {0.equation}".format(EFFECTS[cause.effect]).replace("->", "→"),
-            ambiguity(cause) or "nothing",
-        )
-        for cause in found.causes
-    ]
+    rows = []
+    for cause in found.causes:
+        what = "{0.summary}: {0.equation}".format(EFFECTS[cause.effect]).replace("->", "→")
+        known = cause.effect, cause_words(cause), f"{cause.confidence:.0%}"
+        rows.append((*known, what, ambiguity(cause) or "nothing"))
     heads = ("effect", "value ± sd", "confidence", "what it is", "not distinguishable from")
     other = f"Something else than the library: {found.something_else:.0%}."
     yield Section("How sure", other, table=Table(heads, rows, words=(1, 3, 4)))

@@ -134,11 +134,9 @@ def _prepare(task: Task) -> tuple[Task, _Drives, tuple[PlainCar, ...]]:
         roughs = _search_rough(task, moving)
         if roughs and any(run.servo_frame or run.speed_ramp for run in task.runs):
             asked = task.question._replace(free=plain_car.free_of(task.runs, task.question.free))
-            runs, held_out = (
-                tuple(time_commands(run, roughs[0], asked) for run in drives)
-                for drives in (task.runs, task.held_out)
-            )
-            task = replace(task, runs=runs, held_out=held_out)
+            timed = partial(time_commands, rough=roughs[0], asked=asked)
+            runs, held_out = map(timed, task.runs), map(timed, task.held_out)
+            task = replace(task, runs=tuple(runs), held_out=tuple(held_out))
     moving = moving_segments(task.runs)
     if task.held_out:
         words = ", ".join(run.name for run in task.held_out)
@@ -168,10 +166,8 @@ def _starts(task: Task) -> list[Model[float]]:
     """Where searches begin: about the car as given, or of the drives' own size."""
     if task.starts > 1:
         return prep.scatter(task.model, task.question.free, task.starts, task.asked.seed)
-    return [
-        prep.widen_end_stops(model, task.runs, task.question.free)
-        for model in prep.possible_starts(task.model, task.runs, task.stated)
-    ]
+    models = prep.possible_starts(task.model, task.runs, task.stated)
+    return [prep.widen_end_stops(model, task.runs, task.question.free) for model in models]
 
 
 def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcome.Fit:
