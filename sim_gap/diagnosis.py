@@ -8,6 +8,7 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,7 +36,7 @@ from steerd.sysid.inference.noise import (
     noisier_of,
     usual_noise,
 )
-from steerd.sysid.inference.predictor import Predictor, open_predictor
+from steerd.sysid.inference.predictor import open_predictor
 from steerd.sysid.inference.residuals import Gap, Lead, settled, spun_windows
 from steerd.sysid.inference.search import Point
 from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
@@ -123,8 +124,7 @@ Progress = Callable[[str, float], None]
 """Is called with a stage's name and the share done."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
+class _Search(NamedTuple):
     """Every hypothesis, and what they were judged by."""
 
     case: Case
@@ -134,16 +134,6 @@ class _Search:
     known: bool
     floor: float  # what noise leaves of the whitened error
     found: Findings  # every hypothesis
-
-    @property
-    def predictor(self) -> Predictor:
-        """The windows."""
-        return self.likelihood.predictor
-
-    def values(self, chosen: Point) -> dict[str, tuple[float, ...]]:
-        """Parameters of a hypothesis's effects."""
-        places = self.predictor.augmented.places
-        return {e: tuple(chosen.parameters[places(e)].tolist()) for e in chosen.space.effects}
 
 
 def diagnose(
@@ -216,24 +206,19 @@ def grown_leads(before: Gap, after: Gap) -> tuple[float, ...]:
 
 def _conclude(search: _Search, progress: Progress, written: Callable[[str], None]) -> Diagnosis:
     """Everything that follows from the hypotheses."""
-    predictor, found, case = search.predictor, search.found, search.case
+    found, case = search.found, search.case
     judged = judge_case(search.library, found, search.known)
-    fixed = make_space(predictor.augmented, ())
-    before = settled(search.likelihood, fixed, fixed.centre)
-    chosen = (found.best if judged.causes else found.null).point
-    after = settled(search.likelihood, chosen.space, chosen.z, chosen.x)
-    names = [run.name for run in case.runs]
-    fits = Fits(search.likelihood, before, after, search.noise, search.floor, names)
+    fits = _fit_both(search, (found.best if judged.causes else found.null).point)
     gaps = fits.gaps()
     progress("where", 0.75)
     where = locate(fits)
     progress("shrinkage", 0.85)
-    shrinkage = _shrinkage(search, fits, written)
+    shrinkage = _shrinkage(fits, case.later, written)
     following = None
     for cause in [cause for cause in judged.causes if cause.ambiguous_with][:1]:
         pair = (cause.effect, cause.ambiguous_with[0])
         following = next_manoeuvre(fits, search.library.nuisance, pair)
-    verdict, notes = judged.name, _notes(search, judged, int(spun_windows(after).sum()))
+    verdict, notes = judged.name, _notes(search, judged, fits)
     horizons: tuple[Horizon, ...] = ()
     if case.horizons:
         horizons, gaps = cross_check(fits, case.runs, gaps)
@@ -244,8 +229,7 @@ def _conclude(search: _Search, progress: Progress, written: Callable[[str], None
             shown = ", ".join(f"{lead:g} s" for lead in leads)
             notes.append(f"position errors grow with the explanation after {shown}")
             verdict = "partial"
-    null = found.null.posterior.evidence
-    space = found.null.point.space
+    null, space = found.null.posterior.evidence, found.null.point.space
     away = (found.null.point.z - space.centre) / space.spread
     moved = zip(space.chart.labels, away.tolist(), strict=True)
     return Diagnosis(
@@ -268,39 +252,50 @@ def _conclude(search: _Search, progress: Progress, written: Callable[[str], None
         noise=search.noise,
         noise_known=search.known,
         notes=tuple(notes),
-        values=search.values(chosen),
+        values=fits.values,
         timeline=timeline_of(fits),
         horizons=horizons,
     )
 
 
-def _shrinkage(search: _Search, fits: Fits, written: Callable[[str], None]) -> Shrinkage:
+def _fit_both(search: _Search, chosen: Point) -> Fits:
+    """The base, and the chosen hypothesis, with the windows' starts at their best."""
+    likelihood, fixed = search.likelihood, make_space(search.likelihood.predictor.augmented, ())
+    before = settled(likelihood, fixed, fixed.centre)
+    after = settled(likelihood, chosen.space, chosen.z, chosen.x)
+    names = [run.name for run in search.case.runs]
+    return Fits(likelihood, before, after, search.noise, search.floor, names)
+
+
+def _shrinkage(
+    fits: Fits, later: Callable[[], Sequence[Run]] | None, written: Callable[[str], None]
+) -> Shrinkage:
     """Predict, hand the prediction out, then measure on the reserved drives."""
-    effects, later = fits.after.space.effects, search.case.later
-    share, low, high = predict(fits)
+    share, low, high, _ = predict(fits)
     shares = {"predicted": share, "low": low, "high": high}
-    explained = {"effects": effects, "values": search.values(fits.after)}
+    explained = {"effects": fits.after.space.effects, "values": fits.values}
     text = json.dumps(explained | shares, sort_keys=True)
     predicted = Shrinkage(share, low, high, text, hashlib.sha256(text.encode()).hexdigest())
     written(text)
-    if later is None or not effects:
+    if later is None or not fits.values:
         return predicted
     return measure(fits, open_predictor(fits.predictor.augmented, later()), predicted)
 
 
-def _notes(search: _Search, judged: Verdict, spun: int) -> list[str]:
+def _notes(search: _Search, judged: Verdict, fits: Fits) -> list[str]:
     """What a reader should know about how it was done."""
-    base, augmented, notes = search.case.base, search.predictor.augmented, []
+    base, augmented, layout = search.case.base, fits.predictor.augmented, fits.predictor.layout
+    notes, spun = [], int(spun_windows(fits.after).sum())
     if base.remark:
         notes.append(base.remark)
     elif not augmented.sd and augmented.knowledge is None:
         notes.append("the car file gives no standard errors: ordinary ones were assumed")
     if spun:
-        count = search.predictor.layout.count
-        notes.append(f"the car spun in {spun} of {count} windows: left out of the millimetres")
+        text = f"the car spun in {spun} of {layout.count} windows"
+        notes.append(f"{text}: left out of the millimetres")
     if not search.known:
         notes.append("noise was learnt from these drives: a gap like noise is not identifiable")
-    if len(np.unique(search.predictor.layout.run)) < 4:
+    if len(np.unique(layout.run)) < 4:
         notes.append("fewer than four runs: held-out parts are blocks of the same drives")
     if judged.causes and judged.strain > c.STRAINED:
         notes.append("beside the cause the base moved further than its own uncertainty lets it")

@@ -92,12 +92,11 @@ def _shares(
     return _Shares(share, low, high, shown)
 
 
-def predict(fits: Fits) -> tuple[float, float, float]:
-    """Expected share on unseen drives with its 90 % interval, from windows left out."""
+def predict(fits: Fits) -> _Shares:
+    """Expected share on unseen drives, from windows left out."""
     left_out = residuals.held_out(fits.after, residuals.folds_of(fits.predictor))
     before, best = fits.before.at.ratio, fits.after.at.ratio
-    found = _shares(before, left_out, best, fits.floor, fits.blocks)
-    return found.share, found.low, found.high
+    return _shares(before, left_out, best, fits.floor, fits.blocks)
 
 
 def measure(fits: Fits, reserved: Predictor, predicted: Shrinkage) -> Shrinkage:

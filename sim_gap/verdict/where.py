@@ -64,11 +64,16 @@ class Fits:
         """(W,) windows that follow each other."""
         return residuals.blocks_of(self.predictor)
 
+    @property
+    def values(self) -> dict[str, tuple[float, ...]]:
+        """Parameters of the explanation's effects."""
+        places, at = self.predictor.augmented.places, self.after.parameters
+        return {e: tuple(at[places(e)].tolist()) for e in self.after.space.effects}
+
     def gaps(self, leads: Sequence[float] = residuals.LEADS) -> list[Gap]:
         """The gaps of both."""
-        blocks, spun = self.blocks, residuals.spun_windows(self.after)
-        both = (self.before, self.after)
-        return [residuals.gap_of(self.predictor, fit, blocks, spun, leads) for fit in both]
+        spun, both = residuals.spun_windows(self.after), (self.before, self.after)
+        return [residuals.gap_of(self.predictor, fit, spun, leads) for fit in both]
 
 
 @dataclass(frozen=True)

@@ -106,14 +106,10 @@ def spun_windows(fitted: Point) -> NDArray[np.bool_]:
 
 
 def gap_of(
-    predictor: Predictor,
-    fitted: Point,
-    blocks: NDArray[np.int64],
-    spun: NDArray[np.bool_],
-    leads: Sequence[float] = LEADS,
+    predictor: Predictor, fitted: Point, spun: NDArray[np.bool_], leads: Sequence[float]
 ) -> Gap:
     """The gap under a fit; windows that are `spun` count in the whitened error alone."""
-    interval = middle_of(interval_of(fitted.at.ratio, blocks))
+    interval = middle_of(interval_of(fitted.at.ratio, blocks_of(predictor)))
     each = [_at_lead(predictor, fitted.linear.error, lead, ~spun) for lead in leads]
     errors = (Lead(lead, *map(_rms, kinds)) for lead, kinds in zip(leads, each, strict=True))
     return Gap(robust_mean(fitted.at.ratio), interval, tuple(errors))
