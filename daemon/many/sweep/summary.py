@@ -145,16 +145,11 @@ def _sensitivities(plan: SweepPlan, rows: Rows) -> list[Sensitivity]:
     return found
 
 
-def find_scale(name: str) -> float:
-    """From a measure's SI unit to the unit that people read."""
-    return SCALES.get(UNITS.get(name, ""), (1.0, ""))[0]
-
-
-def name_measure(name: str) -> str:
-    """A measure with the unit that people read."""
+def find_scale(name: str) -> tuple[float, str]:
+    """From a measure's SI unit to the unit that people read; the measure's name with that."""
     unit = UNITS.get(name, "")
-    unit = SCALES.get(unit, (1.0, unit))[1]
-    return f"{name} [{unit}]" if unit else name
+    factor, unit = SCALES.get(unit, (1.0, unit))
+    return factor, f"{name} [{unit}]" if unit else name
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,9 +217,9 @@ class Summary(Found):
         """The distribution of each measure."""
         rows = []
         for s in self.spreads:
-            factor, values = find_scale(s.name), (s.low, s.middle, s.high, s.worst)
-            figures = (f"{value * factor:.3g}" for value in values)
-            rows.append((name_measure(s.name), *figures, str(s.worst_drive)))
+            factor, name = find_scale(s.name)
+            figures = (f"{value * factor:.3g}" for value in (s.low, s.middle, s.high, s.worst))
+            rows.append((name, *figures, str(s.worst_drive)))
         return Table(("measure", "5 %", "median", "95 %", "worst", "in drive"), rows)
 
     def __str__(self) -> str:
@@ -239,8 +234,9 @@ class Summary(Found):
         if strong := self.list_strongest()[:_SHOWN]:
             found = []
             for s in strong:
-                moved = (f"{find_scale(s.measure) * mean:.3g}" for mean in (s.start, s.end))
-                found.append((s.quantity, name_measure(s.measure), *moved, f"{s.value:+.2f}"))
+                factor, name = find_scale(s.measure)
+                moved = (f"{factor * mean:.3g}" for mean in (s.start, s.end))
+                found.append((s.quantity, name, *moved, f"{s.value:+.2f}"))
             heads = ("what moves", "what", "from", "to", "rank correlation")
             parts.append(Table(heads, found, words=(1,)))
         return "\n".join([*lines, *(line for part in parts for line in ("", *format_table(part)))])
