@@ -120,8 +120,7 @@ class Diagnosis:
         return f"<Diagnosis: {self.verdict}{names and f', {names}'}>"
 
 
-Progress = Callable[[str, float], None]
-"""Is called with a stage's name and the share done."""
+Progress = Callable[[str, float], None]  # is called with a stage's name and the share done
 
 
 class _Search(NamedTuple):

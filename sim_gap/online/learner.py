@@ -159,8 +159,7 @@ def _watch(learner: Learner, state: State, known: Known, seen: Loss) -> State:
     judged = table / level
     worst = float(np.nanmax(judged))
     if worst >= ALARM:
-        span = SPANS[int(np.nanargmax(judged)) % len(SPANS)]
-        return _call(learner, state, known, span)
+        return _call(learner, state, known, SPANS[int(np.nanargmax(judged)) % len(SPANS)])
     n = known.reference.space.nuisance
     track, shown = known.track, known.shown
     if worst < DOUBT:
@@ -169,8 +168,7 @@ def _watch(learner: Learner, state: State, known: Known, seen: Loss) -> State:
     if len(shown) > DELAY:
         usual = usual.after(shown[0], FADING)
         shown = shown[1:]
-    peak = max(known.peak, worst)
-    known = replace(known, track=track, usual=usual, shown=shown, peak=peak)
+    known = replace(known, track=track, usual=usual, shown=shown, peak=max(known.peak, worst))
     return replace(state, known=known)
 
 

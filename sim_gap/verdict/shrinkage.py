@@ -112,8 +112,7 @@ def measure(fits: Fits, reserved: Predictor, predicted: Shrinkage) -> Shrinkage:
 
 def _look_again(fits: Fits, predictor: Predictor) -> Fits:
     """Both fits on other windows, their starts alone at their best."""
-    guess = predictor.guess
-    likelihood = make_likelihood(predictor, fits.after.parameters, guess, fits.noise)
+    likelihood = make_likelihood(predictor, fits.after.parameters, predictor.guess, fits.noise)
     both = (fits.before, fits.after)
     before, after = (residuals.settled(likelihood, fit.space, fit.z) for fit in both)
     return replace(fits, likelihood=likelihood, before=before, after=after)

@@ -143,8 +143,7 @@ def equation_shares(fits: Fits) -> tuple[Share, ...]:
     pulled = np.linalg.solve(cov, error[:, :, None])[:, :, 0]
     taken = sizes * [np.einsum("wi,wij,wj->", pulled, v, pulled) for v in shaped]
     shares = taken / max(float(taken.sum()), 1e-12)
-    order = np.argsort(-shares)
-    return tuple(Share(INPUTS[i], float(shares[i])) for i in order)
+    return tuple(Share(INPUTS[i], float(shares[i])) for i in np.argsort(-shares))
 
 
 def _evidence(

@@ -38,8 +38,7 @@ def log_period(steer: Signal) -> float:
     if len(gaps) < _CHANGES_MIN:
         return 0.0
     period = float(np.median(gaps[gaps < 1.5 * np.percentile(gaps, 10.0)]))
-    off = np.abs(gaps / period - np.round(gaps / period))
-    regular = float(np.mean(off < 0.15))
+    regular = float(np.mean(np.abs(gaps / period - np.round(gaps / period)) < 0.15))
     return period if regular > 0.8 and PERIOD_LOW <= period <= PERIOD_HIGH else 0.0
 
 

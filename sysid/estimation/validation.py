@@ -43,9 +43,7 @@ class Prediction(NamedTuple):
 class Trace(NamedTuple):
     """Measured and predicted poses of one window, for looking at."""
 
-    run: int  # which drive; t: time into it [s]; ahead: time since the prediction's start [s]
-    t: Array
-    ahead: Array
+    ahead: Array  # (M,) time since the prediction's start [s]
     measured: Array  # (M, 3) poses; predicted: (M, 3) poses
     predicted: Array
 
@@ -78,9 +76,8 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
     y, seen, found = look(_settle(layout, sigma, look))[0], layout.seen, []
     for w in range(len(layout.spans)):
         mine = (seen.window == w) & (seen.kind == 0)
-        rows, t = seen.row[mine][:, None] + np.arange(3), seen.t[mine]
-        run, start = int(layout.run[w]), layout.t[w]
-        found.append(Trace(run, start + t, t - PAST, layout.values[rows], y[rows]))
+        rows = seen.row[mine][:, None] + np.arange(3)
+        found.append(Trace(seen.t[mine] - PAST, layout.values[rows], y[rows]))
     return found
 
 

@@ -68,10 +68,8 @@ def paper_runs(runs: Sequence[Run]) -> tuple[PaperRun, ...]:
         moving = np.concatenate([[False], run.commands[:, 1] > MOVING, [False]])
         edges = np.flatnonzero(np.diff(moving.astype(int)))
         for low, high in zip(edges[::2] * run.h, edges[1::2] * run.h, strict=True):
-            count = max(1, round((high - low) / SECONDS))
-            edges_of_runs = np.linspace(low, high, count + 1)
-            found += [_piece(run, a, b) for a, b in pairwise(edges_of_runs)
-                      if b - a >= DURATION_MIN]  # fmt: skip
+            ends = pairwise(np.linspace(low, high, max(1, round((high - low) / SECONDS)) + 1))
+            found += [_piece(run, a, b) for a, b in ends if b - a >= DURATION_MIN]
     if not found:
         raise ValueError(f"no {DURATION_MIN:g} s with a speed command")
     return tuple(found)
