@@ -8,9 +8,9 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import Effect
@@ -19,7 +19,7 @@ from steerd.sim_gap.verdict.confidence import Cause, Verdict, judge_case
 from steerd.sim_gap.verdict.next_manoeuvre import Manoeuvre, next_manoeuvre
 from steerd.sim_gap.verdict.residual_shape import Shape, Timeline, shape_of, timeline_of
 from steerd.sim_gap.verdict.shrinkage import Horizon, Shrinkage, cross_check, measure, predict
-from steerd.sim_gap.verdict.where import Where, locate
+from steerd.sim_gap.verdict.where import Fits, Where, locate
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
@@ -36,8 +36,8 @@ from steerd.sysid.inference.noise import (
     noisier_of,
     usual_noise,
 )
-from steerd.sysid.inference.predictor import Predictor, open_predictor
-from steerd.sysid.inference.residuals import Gap, blocks_of, folds_of, gap_of, settled, spun_windows
+from steerd.sysid.inference.predictor import open_predictor
+from steerd.sysid.inference.residuals import Gap, Lead, settled, spun_windows
 from steerd.sysid.inference.search import Point
 from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
 
@@ -105,6 +105,12 @@ class Diagnosis:
     lane_note: str = ""  # why it was not; empty if it was, or was not asked for
 
     @property
+    def leads(self) -> list[tuple[Lead, Lead]]:
+        """Errors before and after by lead; windows may end just before the last."""
+        pairs = zip(self.before.errors, self.after.errors, strict=True)
+        return [pair for pair in pairs if pair[0].position.value > 0.0]
+
+    @property
     def all_notes(self) -> tuple[str, ...]:
         """What a reader should know about drives, method and closed loop."""
         return (*self.case.notes, *self.notes, *filter(None, [self.lane_note]))
@@ -114,12 +120,10 @@ class Diagnosis:
         return f"<Diagnosis: {self.verdict}{names and f', {names}'}>"
 
 
-Progress = Callable[[str, float], None]
-"""Is called with a stage's name and the share done."""
+Progress = Callable[[str, float], None]  # is called with a stage's name and the share done
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
+class _Search(NamedTuple):
     """Every hypothesis, and what they were judged by."""
 
     case: Case
@@ -129,17 +133,6 @@ class _Search:
     known: bool
     floor: float  # what noise leaves of the whitened error
     found: Findings  # every hypothesis
-    blocks: NDArray[np.int64]  # (W,) windows that follow each other
-
-    @property
-    def predictor(self) -> Predictor:
-        """The windows."""
-        return self.likelihood.predictor
-
-    def values(self, chosen: Point) -> dict[str, tuple[float, ...]]:
-        """Parameters of a hypothesis's effects."""
-        places = self.predictor.augmented.places
-        return {e: tuple(chosen.parameters[places(e)].tolist()) for e in chosen.space.effects}
 
 
 def diagnose(
@@ -175,11 +168,8 @@ def _chosen(augmented: AugmentedCar, case: Case) -> tuple[Effect, ...]:
     if unknown:
         raise ValueError(f"no effect {unknown[0]!r}; `steerd effects` lists them")
     only = asked.only or informative_effects(augmented, case.runs)
-    return tuple(
-        e
-        for e in augmented.effects
-        if e.name in only and (e.changes or asked.only) and e.name not in asked.without
-    )
+    wanted = [e for e in augmented.effects if e.name in only and e.name not in asked.without]
+    return tuple(e for e in wanted if e.changes or asked.only)
 
 
 def _search(
@@ -203,39 +193,34 @@ def _search(
     found = explain(library, count, lambda share: progress("pairs", 0.2 + 0.5 * share))
     best = found.best.point
     white = make_likelihood(predictor, best.parameters, best.x, noise)
-    floor, blocks = noise_floor(predictor, float(signals[2])), blocks_of(predictor)
-    return _Search(case, library, white, noise, given is not None, floor, found, blocks)
+    floor = noise_floor(predictor, float(signals[2]))
+    return _Search(case, library, white, noise, given is not None, floor, found)
 
 
 def grown_leads(before: Gap, after: Gap) -> tuple[float, ...]:
     """Times after which the explanation leaves a larger position error than the base [s]."""
-    return tuple(
-        row[0] for row in before.errors if after.position(row[0]) > c.GROWN * row[1] + c.GROWN_LEAST
-    )
+    most = {e.seconds: c.GROWN * e.position.value + c.GROWN_LEAST for e in before.errors}
+    return tuple(lead for lead in most if after.position(lead) > most[lead])
 
 
 def _conclude(search: _Search, progress: Progress, written: Callable[[str], None]) -> Diagnosis:
     """Everything that follows from the hypotheses."""
-    predictor, found, case = search.predictor, search.found, search.case
+    found, case = search.found, search.case
     judged = judge_case(search.library, found, search.known)
-    fixed, names = make_space(predictor.augmented, ()), [run.name for run in case.runs]
-    before = settled(search.likelihood, fixed, fixed.centre)
-    chosen = (found.best if judged.causes else found.null).point
-    after = settled(search.likelihood, chosen.space, chosen.z, chosen.x)
-    spun = spun_windows(after)
-    gaps = [gap_of(predictor, fit, search.blocks, spun) for fit in (before, after)]
+    fits = _fit_both(search, (found.best if judged.causes else found.null).point)
+    gaps = fits.gaps()
     progress("where", 0.75)
-    where = locate(search.likelihood, before, after, search.noise, search.blocks, names)
+    where = locate(fits)
     progress("shrinkage", 0.85)
-    shrinkage = _shrinkage(search, before, after, written)
+    shrinkage = _shrinkage(fits, case.later, written)
     following = None
     for cause in [cause for cause in judged.causes if cause.ambiguous_with][:1]:
-        pair, library = (cause.effect, cause.ambiguous_with[0]), search.library
-        following = next_manoeuvre(search.likelihood, after, library.nuisance, search.noise, pair)
-    verdict, notes = judged.name, _notes(search, judged, int(spun.sum()))
+        pair = (cause.effect, cause.ambiguous_with[0])
+        following = next_manoeuvre(fits, search.library.nuisance, pair)
+    verdict, notes = judged.name, _notes(search, judged, fits)
     horizons: tuple[Horizon, ...] = ()
     if case.horizons:
-        horizons, gaps = cross_check(predictor, case.runs, before, after, search.noise, gaps)
+        horizons, gaps = cross_check(fits, case.runs, gaps)
         far = any(gaps[0].position(lead) > most for lead, most in c.FAR.items())
         if verdict == "none" and far:
             verdict = "unjudged"
@@ -243,8 +228,7 @@ def _conclude(search: _Search, progress: Progress, written: Callable[[str], None
             shown = ", ".join(f"{lead:g} s" for lead in leads)
             notes.append(f"position errors grow with the explanation after {shown}")
             verdict = "partial"
-    null = found.null.posterior.evidence
-    space = found.null.point.space
+    null, space = found.null.posterior.evidence, found.null.point.space
     away = (found.null.point.z - space.centre) / space.spread
     moved = zip(space.chart.labels, away.tolist(), strict=True)
     return Diagnosis(
@@ -262,51 +246,55 @@ def _conclude(search: _Search, progress: Progress, written: Callable[[str], None
         ),
         shrinkage=shrinkage,
         next_manoeuvre=following,
-        shape=shape_of(search.likelihood, after),
+        shape=shape_of(fits),
         moved=dict(sorted(moved, key=lambda item: -abs(item[1]))),
         noise=search.noise,
         noise_known=search.known,
         notes=tuple(notes),
-        values=search.values(chosen),
-        timeline=timeline_of(predictor, before, after, names),
+        values=fits.values,
+        timeline=timeline_of(fits),
         horizons=horizons,
     )
 
 
+def _fit_both(search: _Search, chosen: Point) -> Fits:
+    """The base, and the chosen hypothesis, with the windows' starts at their best."""
+    likelihood, fixed = search.likelihood, make_space(search.likelihood.predictor.augmented, ())
+    before = settled(likelihood, fixed, fixed.centre)
+    after = settled(likelihood, chosen.space, chosen.z, chosen.x)
+    names = [run.name for run in search.case.runs]
+    return Fits(likelihood, before, after, search.noise, search.floor, names)
+
+
 def _shrinkage(
-    search: _Search, before: Point, after: Point, written: Callable[[str], None]
+    fits: Fits, later: Callable[[], Sequence[Run]] | None, written: Callable[[str], None]
 ) -> Shrinkage:
     """Predict, hand the prediction out, then measure on the reserved drives."""
-    predictor, effects, later = search.predictor, after.space.effects, search.case.later
-    share, low, high = predict(before, after, search.floor, search.blocks, folds_of(predictor))
-    text = json.dumps(
-        {
-            "effects": effects, "values": search.values(after), "predicted": share, "low": low,
-            "high": high,
-        },
-        sort_keys=True,
-    )  # fmt: skip
+    share, low, high, _ = predict(fits)
+    shares = {"predicted": share, "low": low, "high": high}
+    explained = {"effects": fits.after.space.effects, "values": fits.values}
+    text = json.dumps(explained | shares, sort_keys=True)
     predicted = Shrinkage(share, low, high, text, hashlib.sha256(text.encode()).hexdigest())
     written(text)
-    if later is None or not effects:
+    if later is None or not fits.values:
         return predicted
-    reserved = open_predictor(predictor.augmented, later())
-    return measure(reserved, before, after, search.noise, search.floor, predicted)
+    return measure(fits, open_predictor(fits.predictor.augmented, later()), predicted)
 
 
-def _notes(search: _Search, judged: Verdict, spun: int) -> list[str]:
+def _notes(search: _Search, judged: Verdict, fits: Fits) -> list[str]:
     """What a reader should know about how it was done."""
-    base, augmented, notes = search.case.base, search.predictor.augmented, []
+    base, augmented, layout = search.case.base, fits.predictor.augmented, fits.predictor.layout
+    notes, spun = [], int(spun_windows(fits.after).sum())
     if base.remark:
         notes.append(base.remark)
     elif not augmented.sd and augmented.knowledge is None:
         notes.append("the car file gives no standard errors: ordinary ones were assumed")
     if spun:
-        count = search.predictor.layout.count
-        notes.append(f"the car spun in {spun} of {count} windows: left out of the millimetres")
+        text = f"the car spun in {spun} of {layout.count} windows"
+        notes.append(f"{text}: left out of the millimetres")
     if not search.known:
         notes.append("noise was learnt from these drives: a gap like noise is not identifiable")
-    if len(np.unique(search.predictor.layout.run)) < 4:
+    if len(np.unique(layout.run)) < 4:
         notes.append("fewer than four runs: held-out parts are blocks of the same drives")
     if judged.causes and judged.strain > c.STRAINED:
         notes.append("beside the cause the base moved further than its own uncertainty lets it")

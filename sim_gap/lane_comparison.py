@@ -132,11 +132,8 @@ def likeness(recorded: LaneDrive, other: LaneDrive) -> Likeness:
     f, first = steering_spectrum(as_long(recorded, other))
     g, second = steering_spectrum(other)
     a, b = (20.0 * np.log10(np.maximum(v, FLOOR)) for v in (first, np.interp(f, g, second)))
-    return Likeness(
-        _profile_distance(recorded, other, "e1"),
-        _profile_distance(recorded, other, "e2"),
-        float(np.sqrt(np.mean((a - b) ** 2))),
-    )
+    e1, e2 = (_profile_distance(recorded, other, field) for field in ("e1", "e2"))
+    return Likeness(e1, e2, float(np.sqrt(np.mean((a - b) ** 2))))
 
 
 def encode_lane(lane: LaneComparison) -> dict[str, Any]:

@@ -81,7 +81,7 @@ def _encoder(cls: type[Any]) -> Callable[[Any], bytes]:
     leaves = leaves_of(cls)
     kinds = [leaf.kind for leaf in leaves]
     if any(isinstance(kind, Nested) for kind in kinds):
-        return _encode_nested
+        return lambda msg: _HEADER + _append(bytearray(), msg)
     getter = operator.attrgetter(*(leaf.name for leaf in leaves))
     read = getter if len(leaves) > 1 else lambda msg: (getter(msg),)
     sized = [i for i, kind in enumerate(kinds) if isinstance(kind, Sized)]
@@ -145,14 +145,8 @@ def _layout(tokens: list[_Token], offset: int = 0, head: str = f"{len(_HEADER)}s
     return struct.Struct("".join(parts))
 
 
-def _encode_nested(msg: Any) -> bytes:
-    data = bytearray()
-    _append(data, msg)
-    return _HEADER + data
-
-
-def _append(data: bytearray, msg: Any) -> None:
-    """Append a message to data that are counted from behind the header."""
+def _append(data: bytearray, msg: Any) -> bytearray:
+    """Append a message to data that are counted from behind the header, and give them back."""
     for leaf in leaves_of(type(msg)):
         value, kind = operator.attrgetter(leaf.name)(msg), leaf.kind
         if isinstance(kind, Scalar):
@@ -165,6 +159,7 @@ def _append(data: bytearray, msg: Any) -> None:
             data += bytes(-len(data) % _LENGTH.size) + _LENGTH.pack(len(value))
             for item in value:
                 _append(data, item)
+    return data
 
 
 # -- decoding ------------------------------------------------------------------------------------

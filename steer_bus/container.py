@@ -111,14 +111,11 @@ class SessionInfo:
     @property
     def topics(self) -> tuple[TopicInfo, ...]:
         """Its channels, by name and type."""
-        return tuple(
-            replace(
-                self.counts.get(key, TopicInfo(0, 0)),
-                name=channel.topic,
-                type_name=self.schema(channel).name,
-            )
-            for key, channel in sorted(self.channels.items())
-        )
+        found = []
+        for key, channel in sorted(self.channels.items()):
+            seen, kind = self.counts.get(key, TopicInfo(0, 0)), self.schema(channel).name
+            found.append(replace(seen, name=channel.topic, type_name=kind))
+        return tuple(found)
 
     @property
     def attachments(self) -> tuple[str, ...]:

@@ -16,8 +16,7 @@ from mcap.opcode import Opcode  # noqa: TID251
 
 from steerd.steer_bus.container import MAGIC
 
-CHUNK_BYTES = 1 << 20
-"""A chunk is closed once its records are longer [bytes]."""
+CHUNK_BYTES = 1 << 20  # a chunk is closed once its records are longer [bytes]
 _SUMMARY = (
     Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX,
     Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX,
@@ -90,8 +89,7 @@ class ContainerWriter:
         if channel not in self._index:
             self._index[channel] = rec.MessageIndex(channel, [])
         self._index[channel].records.append((log_ns, self._chunk.count))
-        message = rec.Message(channel, log_ns, data, publish_ns, sequence)
-        message.write(self._chunk)
+        rec.Message(channel, log_ns, data, publish_ns, sequence).write(self._chunk)
         if self._chunk.count > CHUNK_BYTES:
             self._close_chunk()
 

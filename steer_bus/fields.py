@@ -186,12 +186,8 @@ def type_hash(cls: type[Any]) -> str:
 
     Source: REP-2011 / rosidl: SHA-256 over the JSON of the type description without defaults.
     """
-    described = {
-        "type_description": _description(cls),
-        "referenced_type_descriptions": [
-            _description(d) for d in sorted(_dependencies(cls), key=type_name)
-        ],
-    }
+    others = [_description(d) for d in sorted(_dependencies(cls), key=type_name)]
+    described = {"type_description": _description(cls), "referenced_type_descriptions": others}
     text = json.dumps(described, separators=(", ", ": "), ensure_ascii=True)
     return "RIHS01_" + hashlib.sha256(text.encode()).hexdigest()
 

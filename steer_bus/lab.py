@@ -100,11 +100,13 @@ def make_access_settings(lab: Lab, pose_key: str | None = None) -> dict[str, Any
         _rule("expect", "egress", ["declare_subscriber"], heard),
     ]
     reading = ["listen", "query", "publish"]
-    roles: list[_Role] = [("viewers", lab.viewers, reading)] if lab.viewers else []
+    viewers = {"id": "viewers", "cert_common_names": [*lab.viewers]}
+    roles: list[_Role] = [(viewers, reading)] if lab.viewers else []
     for name in lab.operators:
         own = [*poses, *(make_key(lab.car, topic, name) for topic in named)]
         rules.append(_rule(f"command as {name}", "ingress", ["put"], own))
-        roles.append((name, (name,), [*reading, "expect", f"command as {name}"]))
+        subject = {"id": name, "cert_common_names": [name]}
+        roles.append((subject, [*reading, "expect", f"command as {name}"]))
     return _access("deny", rules, roles)
 
 
@@ -119,11 +121,11 @@ def make_plain_access() -> dict[str, Any]:
         _rule("requests", "egress", ["put"], [f"{ROOT}/*/cmd/**"], "deny"),
         _rule("forged", "ingress", ["put"], spoken, "deny"),
     ]
-    return _access("allow", rules, [("everybody", None, ["requests", "forged"])])
+    return _access("allow", rules, [({"id": "everybody"}, ["requests", "forged"])])
 
 
-_Role = tuple[str, tuple[str, ...] | None, list[str]]
-"""Its id, its certificates' common names (None for everybody), the ids of its rules."""
+_Role = tuple[dict[str, Any], list[str]]
+"""Who has it: its id, and common names of certificates but for everybody. The ids of its rules."""
 
 
 def _access(default: str, rules: list[dict[str, Any]], roles: Sequence[_Role]) -> dict[str, Any]:
@@ -132,11 +134,8 @@ def _access(default: str, rules: list[dict[str, Any]], roles: Sequence[_Role]) -
             "enabled": True,
             "default_permission": default,
             "rules": rules,
-            "subjects": [
-                {"id": role, **({"cert_common_names": list(names)} if names is not None else {})}
-                for role, names, _ in roles
-            ],
-            "policies": [{"rules": given, "subjects": [role]} for role, _, given in roles],
+            "subjects": [subject for subject, _ in roles],
+            "policies": [{"rules": given, "subjects": [who["id"]]} for who, given in roles],
         }
     }
 
@@ -149,12 +148,9 @@ def _rule(
     name: str, flow: str, messages: list[str], keys: Iterable[str], permission: str = "allow"
 ) -> dict[str, Any]:
     return {
-        "id": name,
-        "messages": messages,
-        "flows": [flow],
-        "permission": permission,
+        "id": name, "messages": messages, "flows": [flow], "permission": permission,
         "key_exprs": list(keys),
-    }
+    }  # fmt: skip
 
 
 def _text(value: object) -> str:

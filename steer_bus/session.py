@@ -220,12 +220,10 @@ def _copy(session: Session, writer: ContainerWriter) -> int:
         key: writer.add_schema(schema.name, schema.encoding, schema.data)
         for key, schema in contents.schemas.items()
     }
-    channels = {
-        key: writer.add_channel(
-            c.topic, c.message_encoding, schemas.get(c.schema_id, 0), c.metadata
-        )
-        for key, c in contents.channels.items()
-    }
+    channels = {}
+    for key, c in contents.channels.items():
+        schema = schemas.get(c.schema_id, 0)
+        channels[key] = writer.add_channel(c.topic, c.message_encoding, schema, c.metadata)
     gap_ns, last_ns = 0, None
     for r in session.messages():
         writer.add_message(channels[r.channel], r.log_ns, r.data, r.publish_ns, r.sequence)

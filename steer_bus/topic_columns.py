@@ -61,7 +61,11 @@ class ColumnBuilder:
         if self._records or not self._parts:
             self._convert()
         names = self._parts[0].keys()
-        return _with_stamp({n: np.concatenate([part[n] for part in self._parts]) for n in names})
+        columns = {n: np.concatenate([part[n] for part in self._parts]) for n in names}
+        if "header.stamp.sec" in columns:
+            seconds = columns.pop("header.stamp.sec").astype("i8")
+            columns["stamp_ns"] = seconds * 1_000_000_000 + columns.pop("header.stamp.nanosec")
+        return columns
 
     def _convert(self) -> None:
         self._parts += self._read(self._records)
@@ -138,12 +142,4 @@ def _tail_columns(leaves: tuple[Field, ...], records: list[bytes], start: int) -
             return None
         for column, value in zip(columns.values(), values, strict=True):
             column[row] = value
-    return columns
-
-
-def _with_stamp(columns: Columns) -> Columns:
-    sec = columns.pop("header.stamp.sec", None)
-    nanosec = columns.pop("header.stamp.nanosec", None)
-    if sec is not None and nanosec is not None:
-        columns["stamp_ns"] = sec.astype("i8") * 1_000_000_000 + nanosec
     return columns

@@ -183,8 +183,7 @@ def _dds_type(cls: type[Any]) -> str:
 
 def make_ros_key(domain: int, topic: str, cls: type[Any]) -> str:
     """The key under which a ROS subscription to `topic` receives messages of `cls`."""
-    name = topic.strip("/")
-    return f"{domain}/{name}/{_dds_type(cls)}/{type_hash(cls)}"
+    return f"{domain}/{topic.strip('/')}/{_dds_type(cls)}/{type_hash(cls)}"
 
 
 def make_node_token(domain: int, zid: str, node: str) -> str:

@@ -212,14 +212,10 @@ class ZenohBus:
         if topic is not None:
             encoding = encoding.with_schema(type_name(topic.message))
         priority = getattr(zenoh.Priority, topic.priority if topic else "DATA")
-        handle = self._ask(
-            lambda: self._session.declare_publisher(
-                key,
-                encoding=encoding,
-                priority=priority,
-                congestion_control=zenoh.CongestionControl.DROP,
-            )
-        )
+        drop = zenoh.CongestionControl.DROP
+        handle = self._ask(lambda: self._session.declare_publisher(
+            key, encoding=encoding, priority=priority, congestion_control=drop
+        ))  # fmt: skip
         gid = blake2b(self._zid + key.encode(), digest_size=_GID_SIZE).digest()
         return _Publisher(handle, gid)
 

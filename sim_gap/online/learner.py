@@ -10,19 +10,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from steerd.car_model.car_file import CarFile
-from steerd.sim_gap.online import samples
+from steerd.sim_gap.online import samples, tracking
 from steerd.sim_gap.online.changes import SPANS, ratios, reweighted
 from steerd.sim_gap.online.naming import LOOKS, Finding, Known, find_cause, learn
-from steerd.sim_gap.online.tracking import (
-    Loss,
-    Memory,
-    Remembered,
-    Seen,
-    Track,
-    follow,
-    look,
-    remember,
-)  # fmt: skip
+from steerd.sim_gap.online.tracking import Loss, Memory, Remembered, Seen, Track
 from steerd.sim_gap.verdict.confidence import Cause
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference.augmented_car import AugmentedCar, make_augmented_car
@@ -68,17 +59,14 @@ def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) 
     augmented = make_augmented_car(car, ())
     if augmented.knowledge is None and not augmented.sd:
         augmented = replace(augmented, sd=_published(augmented))
-    remembered = remember(augmented, memory) if memory is not None else {}
+    remembered = tracking.remember(augmented, memory) if memory is not None else {}
     return Learner(augmented, noise_of_section(car.sections.get("noise", {})), ramp, remembered)
 
 
 def _published(augmented: AugmentedCar) -> dict[str, float]:
     """Standard errors of figures that were published for another car of the class."""
-    return {
-        name: BETTER_KNOWN.get(name, NOT_IDENTIFIED) * least_sd(augmented, name)
-        for name in FLOORS
-        if name not in LIMITS
-    }
+    factors = {n: BETTER_KNOWN.get(n, NOT_IDENTIFIED) for n in FLOORS if n not in LIMITS}
+    return {name: factor * least_sd(augmented, name) for name, factor in factors.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +135,7 @@ def take_window(learner: Learner, state: State, t: float, run: Run) -> State:
         if len(change.windows) in LOOKS:
             change = judge(state.known, change)
         return _after(learner, state, state.known, change)
-    seen = look(state.known.reference, run, t)
+    seen = tracking.look(state.known.reference, run, t)
     if seen is None:
         return state
     windows = (*state.windows, (t, run))[-SPANS[-1] :]
@@ -171,18 +159,16 @@ def _watch(learner: Learner, state: State, known: Known, seen: Loss) -> State:
     judged = table / level
     worst = float(np.nanmax(judged))
     if worst >= ALARM:
-        span = SPANS[int(np.nanargmax(judged)) % len(SPANS)]
-        return _call(learner, state, known, span)
+        return _call(learner, state, known, SPANS[int(np.nanargmax(judged)) % len(SPANS)])
     n = known.reference.space.nuisance
     track, shown = known.track, known.shown
     if worst < DOUBT:
-        track = follow(track, seen.weight * seen.g[:n], seen.weight * seen.h[:n, :n])
+        track = tracking.follow(track, seen.weight * seen.g[:n], seen.weight * seen.h[:n, :n])
     shown, usual = (*shown, table), known.usual
     if len(shown) > DELAY:
         usual = usual.after(shown[0], FADING)
         shown = shown[1:]
-    peak = max(known.peak, worst)
-    known = replace(known, track=track, usual=usual, shown=shown, peak=peak)
+    known = replace(known, track=track, usual=usual, shown=shown, peak=max(known.peak, worst))
     return replace(state, known=known)
 
 

@@ -11,17 +11,10 @@ from types import MappingProxyType
 
 import numpy as np
 
+from steerd.sim_gap.online import tracking
 from steerd.sim_gap.online.changes import SPANS, QuietRatios, quiet_ratios_of
 from steerd.sim_gap.online.samples import WINDOW
-from steerd.sim_gap.online.tracking import (
-    Reference,
-    Remembered,
-    Seen,
-    Track,
-    looks_of,
-    may_change,
-    with_memory,
-)
+from steerd.sim_gap.online.tracking import Reference, Remembered, Seen, Track
 from steerd.sim_gap.verdict.confidence import Cause, Verdict, judge_case
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
@@ -90,7 +83,7 @@ def _diagnose(base: AugmentedCar, reference: Reference, runs: Sequence[Run]) -> 
     """
     predictor = open_predictor(base, runs, WINDOW, late=reference.late)
     likelihood = make_likelihood(predictor, base.base, predictor.guess, reference.noise)
-    possible = may_change(base, runs)
+    possible = tracking.may_change(base, runs)
     effects = tuple(e for e in base.effects if e.name in possible)
     nuisance = reference.space.chart.free[: reference.space.nuisance]
     library = Library(likelihood, nuisance, effects)
@@ -138,17 +131,18 @@ def learn(
         return None
     learnt = replace(augmented, base=fitted.parameters)
     flat = {e.name for e in augmented.effects if e.zero_gradient}
-    sloped = [name for name in may_change(learnt, runs) if name not in flat]
+    sloped = [name for name in tracking.may_change(learnt, runs) if name not in flat]
     reference = Reference(learnt, make_space(learnt, nuisance, sloped), noise)
     try:
         at = stand(likelihood, reference.space, reference.space.centre, fitted.x, 0.0).at
     except FloatingPointError:
         return None
-    looks = looks_of(at, times)
+    looks = tracking.looks_of(at, times)
     n = reference.space.nuisance
     prior = np.asarray(np.linalg.inv(reference.space.covariance[:n, :n]), np.float64)
     informed = sum((each.weight * each.h[:n, :n] for each in looks), np.zeros((n, n)))
     # The windows made the reference: about it they pull nowhere.
-    track = with_memory(reference, Track(prior + informed, np.zeros(n), prior), remembered)
+    alone = Track(prior + informed, np.zeros(n), prior)
+    track = tracking.with_memory(reference, alone, remembered)
     seen = tuple(Seen(track, window) for window in looks)
     return Known(reference, track, quiet_ratios_of(reference, seen), seen[-SPANS[-1] :])

@@ -109,16 +109,11 @@ def make_window(recent: Recent, start: float, ramp: float) -> Run | None:
     wheel = [w for w in recent.wheel if start <= w.t < end]
     if len(poses) < 2 or not orders or not _driven(poses, orders):
         return None
-    seen, asked = np.array(poses), np.array(orders)
-    rolled = np.array(wheel).reshape(-1, 2)
+    seen, rolled = np.array(poses), np.array(wheel).reshape(-1, 2)
+    t, steer, speed = np.array(orders).T
+    pose, speeds = Signal(seen[:, 0], seen[:, 1:]), Signal(rolled[:, 0], rolled[:, 1])
     try:
-        run = make_run(
-            f"{start:.2f} s",
-            Signal(asked[:, 0], asked[:, 1]),
-            Signal(asked[:, 0], asked[:, 2]),
-            Signal(seen[:, 0], seen[:, 1:]),
-            wheel=Signal(rolled[:, 0], rolled[:, 1]),
-        )
+        run = make_run(f"{start:.2f} s", Signal(t, steer), Signal(t, speed), pose, wheel=speeds)
         return replace(run, servo_frame=SERVO_FRAME, speed_ramp=ramp)
     except DataError:
         return None

@@ -84,12 +84,8 @@ def may_change(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
 
     What is a matter of a place or of the time of day is none that a window can show.
     """
-    effects = {e.name: e for e in augmented.effects}
-    return tuple(
-        name
-        for name in informative_effects(augmented, runs)
-        if effects[name].changes and effects[name].at_once
-    )
+    able = {e.name for e in augmented.effects if e.changes and e.at_once}
+    return tuple(name for name in informative_effects(augmented, runs) if name in able)
 
 
 def look(reference: Reference, run: Run, t: float) -> Loss | None:

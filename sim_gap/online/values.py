@@ -119,12 +119,9 @@ def find_aim(learner: Learner, state: State) -> Learnt | str:
     file = _numbers(learner.augmented, ())
     now = _numbers(learner.augmented, [each for each in named if not isinstance(each, str)])
     # A base that was learnt anew is held near the file's: a change that was named knows better.
-    own = {
-        name: value
-        for name, value in _by_itself(learner, state).items()
-        if getattr(now, name) == getattr(file, name)
-    }
-    return now._replace(**own)
+    own = _by_itself(learner, state)
+    same = [name for name in own if getattr(now, name) == getattr(file, name)]
+    return now._replace(**{name: own[name] for name in same})
 
 
 def _named(change: Change) -> tuple[Cause, tuple[float, ...]] | str:
@@ -155,12 +152,10 @@ def _by_itself(learner: Learner, state: State) -> dict[str, float]:
     if state.known is None:
         return {}
     file, names = learner.augmented.base, learner.augmented.kernels.names
+    shown = [v for v in values_of(state.known) if v.name in BY_ITSELF and v.identifiable]
+    away = [abs(v.value - float(file[names.index(v.name)])) for v in shown]
     return {
-        v.name: v.value
-        for v in values_of(state.known)
-        if v.name in BY_ITSELF
-        and v.identifiable
-        and abs(v.value - float(file[names.index(v.name)])) > BEYOND_DOUBT * v.sd
+        v.name: v.value for v, off in zip(shown, away, strict=True) if off > BEYOND_DOUBT * v.sd
     }
 
 
@@ -176,13 +171,10 @@ def _numbers(augmented: AugmentedCar, changes: Sequence[tuple[Cause, tuple[float
         car._replace(c_sf=car.c_sf * car.mu / own.mu, c_sr=car.c_sr * car.mu / own.mu)
     )
     moved = {cause.effect for cause, _ in changes}
-    body = {
-        name: value
-        for effect, *names in _BODY
-        if effect in moved
-        for name, value in zip(names, now[effect], strict=True)
-    }
-    return found._replace(**body)
+    for effect, *names in _BODY:
+        if effect in moved:
+            found = found._replace(**dict(zip(names, now[effect], strict=True)))
+    return found
 
 
 def _shifted(cause: Cause, was: tuple[float, ...], values: tuple[float, ...]) -> Iterator[float]:

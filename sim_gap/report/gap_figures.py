@@ -16,7 +16,6 @@ from steerd.sim_gap.lane_comparison import (
 )
 from steerd.sim_gap.verdict.shrinkage import Shrinkage
 from steerd.sim_gap.verdict.where import EQUATIONS, Regime, Where, range_words
-from steerd.sysid.inference.residuals import Gap
 from steerd.sysid.report.drawing import (
     AFTER,
     BAND,
@@ -31,6 +30,11 @@ from steerd.sysid.report.drawing import (
 )
 from steerd.sysid.report.report import DEGREES
 
+_KINDS = (
+    ("position", "position [mm]", 1e3), ("yaw", "heading [°]", DEGREES),
+    ("speed", "wheel speed [mm/s]", 1e3),
+)  # fmt: skip
+"""Errors that are drawn, with their labels and scales."""
 SHOWN_MOST, RUNS_MOST = 12, 4  # candidates and drives that are drawn; the rest is in the JSON
 
 
@@ -43,7 +47,9 @@ def _name_rows(axis: Axes, labels: Sequence[str]) -> None:
 def draw_main(found: Diagnosis) -> list[Diagrams]:
     """The gap, the candidates and the gap over time: what is drawn of every diagnosis."""
     colours = {"base car": BEFORE, **({"with the effect": AFTER} if found.causes else {})}
-    measured = [i for i in range(3) if any(row[1 + i] > 0.0 for row in found.before.errors)] or [0]
+    errors = found.before.errors
+    measured = [kind for kind in _KINDS if any(getattr(lead, kind[0]).value for lead in errors)]
+    measured = measured or [*_KINDS[:1]]
     rows = min(len(found.candidates) + 1, SHOWN_MOST)
     runs = list(dict.fromkeys(found.timeline.run))[:RUNS_MOST]
     named = {"named": AFTER} if found.causes else {}
@@ -60,35 +66,25 @@ def draw_main(found: Diagnosis) -> list[Diagrams]:
     ]
 
 
-def _plot_gap(*axes: Axes, found: Diagnosis, measured: Sequence[int]) -> None:
+def _plot_gap(*axes: Axes, found: Diagnosis, measured: Sequence[tuple[str, str, float]]) -> None:
     """Error after each lead with 90 % intervals: position, heading, wheel speed, as measured."""
-    before, after, explained = found.before, found.after, bool(found.causes)
-    gaps = (before, after) if explained else (before,)
-    units = (("position [mm]", 1e3), ("heading [°]", DEGREES), ("wheel speed [mm/s]", 1e3))
-    for axis, i in zip(axes, measured, strict=True):
-        label, scale = units[i]
-        _bars(axis, before, i, scale, -0.2 if explained else 0.0, BEFORE)
-        if explained:
-            _bars(axis, after, i, scale, 0.2, AFTER)
-        leads = [before.errors[j][0] for j in before.known_leads]
-        axis.set_xticks(range(len(leads)), [f"{lead:g} s" for lead in leads])
+    pairs, explained = found.leads, bool(found.causes)
+    for axis, (name, label, scale) in zip(axes, measured, strict=True):
+        heights: list[float] = []
+        for side, shift, colour in ((0, -0.2, BEFORE), (1, 0.2, AFTER))[: 1 + explained]:
+            errors = np.array([getattr(pair[side], name) for pair in pairs]).reshape(-1, 3)
+            value, low, high = scale * errors.T
+            axis.bar(
+                np.arange(len(pairs)) + shift * explained, value, 0.36, color=colour,
+                yerr=np.clip([value - low, high - value], 0.0, None),
+                error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2.0},
+            )  # fmt: skip
+            heights += [*value, *high]
+        axis.set_xticks(range(len(pairs)), [f"{before.seconds:g} s" for before, _ in pairs])
         axis.set_title(label)
-        values = [gap.errors[j][1 + i] for gap in gaps for j in gap.known_leads]
-        highs = [gap.intervals[j][i][1] for gap in gaps for j in gap.known_leads]
-        scale_bars(axis, [scale * value for value in (*values, *highs)])
+        scale_bars(axis, heights)
         axis.grid(visible=False, axis="x")
     axes[0].set_ylabel("root mean square")
-
-
-def _bars(axis: Axes, gap: Gap, i: int, scale: float, shift: float, colour: str) -> None:
-    kept = gap.known_leads
-    values = scale * np.array([gap.errors[j][1 + i] for j in kept])
-    bounds = scale * np.array([gap.intervals[j][i] for j in kept]).reshape(-1, 2)
-    off = np.clip(np.column_stack([values - bounds[:, 0], bounds[:, 1] - values]).T, 0.0, None)
-    axis.bar(
-        np.arange(len(values)) + shift, values, 0.36, color=colour, yerr=off,
-        error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2.0},
-    )  # fmt: skip
 
 
 def _plot_candidates(axis: Axes, found: Diagnosis) -> None:

@@ -100,10 +100,10 @@ def _screen(found: Diagnosis) -> Iterator[Line]:
 
 def _cards(found: Diagnosis) -> Iterator[Card]:
     """The figures that are read first."""
-    leads = found.before.known_leads or [0]
-    last = min(leads, key=lambda i: abs(found.before.errors[i][0] - 1.0))
-    before, after = found.before.errors[last], found.after.errors[last]
-    lead = f"position error after {before[0]:g} s"
+    pairs = found.leads or [(found.before.errors[0], found.after.errors[0])]
+    last = min(pairs, key=lambda pair: abs(pair[0].seconds - 1.0))
+    before, after = (short(1e3 * each.position.value) for each in last)
+    lead = f"position error after {last[0].seconds:g} s"
     if found.causes:
         first, other = found.causes[0], found.something_else
         nulls = {p.name: p.null for p in EFFECTS[first.effect].parameters}
@@ -117,15 +117,14 @@ def _cards(found: Diagnosis) -> Iterator[Card]:
         more = f" and {found.causes[1].effect}" if len(found.causes) > 1 else ""
         yield Card("cause", f"{first.effect}{more}", sure)
         yield Card("how large", value_words(value, sd, unit), f"{first.effect}: {parameter} ± sd")
-        figure = f"{short(1e3 * before[1])} → {short(1e3 * after[1])} mm"
-        yield Card(lead, figure, "base car → with the effect")
+        yield Card(lead, f"{before} → {after} mm", "base car → with the effect")
         s, share = found.shrinkage, share_words(found.shrinkage.predicted)
         figure, text = share, "predicted"
         if s.measured is not None:
             figure, text = share_words(s.measured), f"measured; predicted {share}"
         yield Card("excess error removed", figure, text)
         return
-    yield Card(lead, f"{short(1e3 * before[1])} mm", "root mean square, base car")
+    yield Card(lead, f"{before} mm", "root mean square, base car")
     low, high = found.before.interval
     text = f"1 is noise alone; 90 %: {low:.2g} to {high:.2g}"
     yield Card("error over noise", f"{found.before.whitened:.2g}", text)
@@ -198,16 +197,11 @@ def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
 
 def _cause_sections(found: Diagnosis, shrinks: "Diagrams") -> Iterator[Section]:
     """How sure the causes are, and how far they shrink the gap."""
-    rows = [
-        (
-            cause.effect,
-            cause_words(cause),
-            f"{cause.confidence:.0%}",
-            "{0.summary}: {0.equation}".format(EFFECTS[cause.effect]).replace("->", "→"),
-            ambiguity(cause) or "nothing",
-        )
-        for cause in found.causes
-    ]
+    rows = []
+    for cause in found.causes:
+        what = "{0.summary}: {0.equation}".format(EFFECTS[cause.effect]).replace("->", "→")
+        known = cause.effect, cause_words(cause), f"{cause.confidence:.0%}"
+        rows.append((*known, what, ambiguity(cause) or "nothing"))
     heads = ("effect", "value ± sd", "confidence", "what it is", "not distinguishable from")
     other = f"Something else than the library: {found.something_else:.0%}."
     yield Section("How sure", other, table=Table(heads, rows, words=(1, 3, 4)))
@@ -259,10 +253,11 @@ def headline(found: Diagnosis) -> str:
     if found.verdict == "none":
         return "What the simulation does not predict of these drives looks like noise."
     if found.verdict == "unjudged":
-        lead, off = found.before.errors[-1][:2]
+        last = found.before.errors[-1]
+        off = f"{short(1e3 * last.position.value)} mm off after {last.seconds:g} s"
         return (
-            f"These drives cannot be judged: the simulation is {short(1e3 * off)} mm off after "
-            f"{lead:g} s, and what was learnt as noise hides why."
+            f"These drives cannot be judged: the simulation is {off}, and what was learnt as noise "
+            "hides why."
         )
     if found.verdict == "unexplained" or not found.causes:
         return "There is a gap, and none of the known effects explains it."
@@ -290,15 +285,11 @@ def short(value: float) -> str:
 
 def gap_words(found: Diagnosis) -> Iterator[str]:
     """Position and heading error before and after by lead."""
-    for i in found.before.known_leads:
-        before, after = found.before.errors[i], found.after.errors[i]
-        if not found.causes:
-            yield f"{before[0]:g} s: {short(1e3 * before[1])} mm, {short(degrees(before[2]))}°"
-            continue
-        yield (
-            f"{before[0]:g} s: {short(1e3 * before[1])} → {short(1e3 * after[1])} mm, "
-            f"{short(degrees(before[2]))} → {short(degrees(after[2]))}°"
-        )
+    for pair in found.leads:
+        shown = pair if found.causes else pair[:1]
+        away = " → ".join(short(1e3 * lead.position.value) for lead in shown)
+        turned = " → ".join(short(degrees(lead.yaw.value)) for lead in shown)
+        yield f"{pair[0].seconds:g} s: {away} mm, {turned}°"
 
 
 def share_words(share: float) -> str:

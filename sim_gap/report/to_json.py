@@ -13,13 +13,11 @@ SCHEMA = "steerd.gap/1"
 
 
 def _gap(gap: Gap) -> dict[str, Any]:
-    names = ("position_mm", "yaw_mrad", "speed_m_s")
-    scales = (1e3, 1e3, 1.0)
-    leads = []
-    for row, bounds in zip(gap.errors, gap.intervals, strict=True):
-        entry: dict[str, Any] = {"lead_s": row[0]}
-        for name, scale, value, (low, high) in zip(names, scales, row[1:], bounds, strict=True):
-            entry[name] = {"value": scale * value, "low": scale * low, "high": scale * high}
+    kinds, leads = (("position_mm", 1e3), ("yaw_mrad", 1e3), ("speed_m_s", 1.0)), []
+    for seconds, *errors in gap.errors:
+        entry: dict[str, Any] = {"lead_s": seconds}
+        for (name, scale), error in zip(kinds, errors, strict=True):
+            entry[name] = {key: scale * value for key, value in error._asdict().items()}
         leads.append(entry)
     low, high = gap.interval
     return {"whitened": gap.whitened, "low": low, "high": high, "errors": leads}

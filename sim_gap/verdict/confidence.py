@@ -124,11 +124,7 @@ def _cause(library: Library, found: Findings, name: str, kept: float) -> Cause:
 
 def _stand_ins(hypotheses: Sequence[Hypothesis], best: Hypothesis, name: str) -> tuple[str, ...]:
     """Effects of hypotheses without the named one that are not much less likely."""
-    names = [
-        other
-        for h in hypotheses
-        if name not in h.effects and h.probability > c.STANDS_IN * best.probability
-        for other in h.effects
-        if other not in best.effects
-    ]
+    least = c.STANDS_IN * best.probability
+    likely = [h for h in hypotheses if name not in h.effects and h.probability > least]
+    names = [other for h in likely for other in h.effects if other not in best.effects]
     return tuple(dict.fromkeys(names))

@@ -8,13 +8,13 @@ import numpy as np
 
 from steerd.car_model.native import windows as compiled
 from steerd.car_model.state import ORIGIN
+from steerd.sim_gap.verdict.where import Fits
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import GRID, Run, Signal
 from steerd.sysid.inference.chart import places_of
 from steerd.sysid.inference.library import Library, carry
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
-from steerd.sysid.inference.noise import Noise
-from steerd.sysid.inference.predictor import Predictor, open_predictor
+from steerd.sysid.inference.predictor import open_predictor
 from steerd.sysid.inference.residuals import settled
 from steerd.sysid.inference.search import Point, curvature, stand
 
@@ -77,15 +77,15 @@ MENU: Mapping[str, _Drive] = {
 `daemon/assembly/plans.py`; a test holds both together."""
 
 
-def _drive(predictor: Predictor, fitted: Point, name: str) -> Run:
-    """The manoeuvre as the explained car would drive it, without noise."""
-    kernels, t = predictor.augmented.kernels, GRID * np.arange(round(SECONDS / GRID), dtype=float)
+def _drive(kernels: compiled.Kernels, parameters: Array, name: str) -> Run:
+    """The manoeuvre as a car with parameters (P,) would drive it, without noise."""
+    t = GRID * np.arange(round(SECONDS / GRID), dtype=float)
     rows = np.column_stack(MENU[name].drive(t))
     first = np.zeros((1, compiled.STATES + kernels.memory))
     first[0, : compiled.STATES] = ORIGIN._replace(steer=rows[0, 0], speed=rows[0, 1])
     held = compiled.HeldCommands(rows, GRID, _SUBSTEPS)
     blocks = compiled.make_window_blocks(np.array([[0, len(t), 0]]), np.zeros(1))
-    path = compiled.march(kernels, fitted.parameters, first, held, blocks, len(t) * _SUBSTEPS)
+    path = compiled.march(kernels, parameters, first, held, blocks, len(t) * _SUBSTEPS)
     pose = compiled.view_by_window(path, 1)[0, :-1:_SUBSTEPS, :3]
     return Run(name, GRID, rows, Signal(t, pose))
 
@@ -114,24 +114,18 @@ def margin(
     return 0.5 * float(size @ s[np.ix_(mine, mine)] @ size) * (1.0 - alike)
 
 
-def next_manoeuvre(
-    likelihood: Likelihood,
-    point: Point,
-    nuisance: Sequence[str],
-    noise: Noise,
-    pair: tuple[str, str],
-) -> Manoeuvre | None:
+def next_manoeuvre(fits: Fits, nuisance: Sequence[str], pair: tuple[str, str]) -> Manoeuvre | None:
     """The manoeuvre of the menu with the largest expected lead, None if all diverge."""
-    layout = likelihood.predictor.layout
+    layout = fits.predictor.layout
     seconds = float((layout.spans[:, 3] * layout.h).sum())
     try:
-        now = margin(likelihood, point, nuisance, pair) * SECONDS / max(seconds, 1e-9)
+        now = margin(fits.likelihood, fits.after, nuisance, pair) * SECONDS / max(seconds, 1e-9)
     except (FloatingPointError, np.linalg.LinAlgError):
         return None
     best: Manoeuvre | None = None
     for name, drive in MENU.items():
         try:
-            gained = margin(*_on(likelihood.predictor, point, noise, name), nuisance, pair)
+            gained = margin(*_on(fits, name), nuisance, pair)
         except (FloatingPointError, OverflowError, ValueError, np.linalg.LinAlgError):
             continue
         if best is None or gained > best.expected_nats:
@@ -139,8 +133,9 @@ def next_manoeuvre(
     return best
 
 
-def _on(predictor: Predictor, point: Point, noise: Noise, name: str) -> tuple[Likelihood, Point]:
+def _on(fits: Fits, name: str) -> tuple[Likelihood, Point]:
     """The windows and the hypothesis of a manoeuvre not driven yet."""
-    other = open_predictor(predictor.augmented, [_drive(predictor, point, name)])
-    likelihood = make_likelihood(other, point.parameters, other.guess, noise)
+    augmented, point = fits.predictor.augmented, fits.after
+    other = open_predictor(augmented, [_drive(augmented.kernels, point.parameters, name)])
+    likelihood = make_likelihood(other, point.parameters, other.guess, fits.noise)
     return likelihood, settled(likelihood, point.space, point.z)

@@ -1,15 +1,11 @@
 """What is left: its spectrum, what it goes with, whether it is like noise; window by window."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from steerd.sim_gap.verdict.where import conditions
+from steerd.sim_gap.verdict.where import Fits, conditions
 from steerd.sysid.data.data_checks import Array
-from steerd.sysid.inference.likelihood import Likelihood
-from steerd.sysid.inference.predictor import Predictor
-from steerd.sysid.inference.search import Point
 
 _CORRELATED = 0.3
 _WHITE = 2.0
@@ -25,33 +21,28 @@ class Shape:
     noise_like: bool  # white in time, and growing with speed: jitter of stamps or lost frames
 
 
-def shape_of(likelihood: Likelihood, fitted: Point) -> Shape:
-    """Describe the error that a fit leaves."""
-    peak, prominence = _spectrum(likelihood, fitted)
-    each = fitted.at.ratio
-    found = {
-        name: _rank_correlation(values, each)
-        for name, values in conditions(likelihood.predictor, fitted).items()
-    }
+def shape_of(fits: Fits) -> Shape:
+    """Describe the error that the explanation leaves."""
+    peak, prominence = _spectrum(fits)
+    each, driven = fits.after.at.ratio, conditions(fits.predictor, fits.after)
+    found = {name: _rank_correlation(values, each) for name, values in driven.items()}
     strong = {k: v for k, v in sorted(found.items(), key=lambda i: -abs(i[1])) if abs(v) > 0.15}
     grows = found.get("speed", 0.0) > _CORRELATED
     return Shape(peak, prominence, strong, grows and prominence < _WHITE)
 
 
-def _spectrum(likelihood: Likelihood, fitted: Point) -> tuple[float, float]:
+def _spectrum(fits: Fits) -> tuple[float, float]:
     """Peak of the mean spectrum of whitened yaw errors [Hz], and its height over the mean."""
-    predictor = likelihood.predictor
-    white = fitted.linear.error * np.sqrt(likelihood.precision)
-    channel = predictor.channel
-    rows = [w[(c == 2) & (t > 0)] for w, c, t in zip(
-        white, channel, predictor.padded.there, strict=True
-    )]  # fmt: skip
+    predictor, layout = fits.predictor, fits.predictor.layout
+    white = fits.after.linear.error * np.sqrt(fits.likelihood.precision)
+    turn = (predictor.channel == 2) & (predictor.padded.there > 0)
+    rows = [window[mine] for window, mine in zip(white, turn, strict=True)]
     length = int(np.median([len(r) for r in rows]))
     even = np.array([r[:length] for r in rows if len(r) >= length])
     if length < 8 or not len(even):
         return float("nan"), 1.0
     power = (np.abs(np.fft.rfft(even - even.mean(axis=1, keepdims=True), axis=1)) ** 2).mean(axis=0)
-    step = float(np.median(np.diff(predictor.layout.row_t[predictor.layout.channel == 2][:length])))
+    step = float(np.median(np.diff(layout.row_t[layout.channel == 2][:length])))
     at = int(np.argmax(power[1:])) + 1
     return float(at / (length * step)), float(power[at] / max(power[1:].mean(), 1e-12))
 
@@ -74,15 +65,8 @@ class Timeline:
     after: Array  # (W,) under the explanation
 
 
-def timeline_of(
-    predictor: Predictor, before: Point, after: Point, names: Sequence[str]
-) -> Timeline:
-    """The time line of two fits; `names` are those of the runs."""
-    layout = predictor.layout
-    return Timeline(
-        tuple(names[r] for r in layout.run),
-        layout.t.copy(),
-        layout.t + layout.spans[:, 3] * layout.h,
-        before.at.ratio,
-        after.at.ratio,
-    )
+def timeline_of(fits: Fits) -> Timeline:
+    """The time line of both fits."""
+    layout = fits.predictor.layout
+    run, end = tuple(fits.names[r] for r in layout.run), layout.t + layout.spans[:, 3] * layout.h
+    return Timeline(run, layout.t.copy(), end, fits.before.at.ratio, fits.after.at.ratio)

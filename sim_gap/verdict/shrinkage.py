@@ -12,25 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.sim_gap.verdict.where import Fits
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference import residuals
 from steerd.sysid.inference.likelihood import make_likelihood
-from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.predictor import Predictor, open_predictor
-from steerd.sysid.inference.residuals import (
-    LEADS,
-    Gap,
-    blocks_of,
-    gap_of,
-    held_out,
-    interval_of,
-    middle_of,
-    robust_mean,
-    settled,
-    spun_windows,
-)
-from steerd.sysid.inference.search import Point, newton
+from steerd.sysid.inference.residuals import Gap, interval_of, middle_of, robust_mean
+from steerd.sysid.inference.search import newton
 
 _EXCESS_LEAST = 0.01  # below this there is no excess to take a share of
 _SIGMAS = 2.0
@@ -102,39 +92,30 @@ def _shares(
     return _Shares(share, low, high, shown)
 
 
-def predict(
-    before: Point, chosen: Point, floor: float, blocks: NDArray[np.int64], folds: NDArray[np.int64]
-) -> tuple[float, float, float]:
-    """Expected share on unseen drives with its 90 % interval, from windows left out."""
-    found = _shares(before.at.ratio, held_out(chosen, folds), chosen.at.ratio, floor, blocks)
-    return found.share, found.low, found.high
+def predict(fits: Fits) -> _Shares:
+    """Expected share on unseen drives, from windows left out."""
+    left_out = residuals.held_out(fits.after, residuals.folds_of(fits.predictor))
+    before, best = fits.before.at.ratio, fits.after.at.ratio
+    return _shares(before, left_out, best, fits.floor, fits.blocks)
 
 
-def measure(
-    predictor: Predictor,
-    before: Point,
-    after: Point,
-    noise: Noise,
-    floor: float,
-    predicted: Shrinkage,
-) -> Shrinkage:
+def measure(fits: Fits, reserved: Predictor, predicted: Shrinkage) -> Shrinkage:
     """The same share on reserved drives; nothing is refitted but the windows' starts."""
-    (before, after), gaps = _look_again(predictor, before, after, noise)
+    fits = _look_again(fits, reserved)
+    before, after = fits.before.at, fits.after.at
     # Were the hypothesis fitted to these windows: one Newton step on
-    best = after.at.stepped(newton(after.space, after.at, after.z)[0]) / after.at.dof
-    found = _shares(before.at.ratio, after.at.ratio, best, floor, blocks_of(predictor))
-    share = found.share if found.identifiable else None
+    best = after.stepped(newton(fits.after.space, after, fits.after.z)[0]) / after.dof
+    found = _shares(before.ratio, after.ratio, best, fits.floor, fits.blocks)
+    share, gaps = found.share if found.identifiable else None, fits.gaps()
     return replace(predicted, measured=share, before=gaps[0], after=gaps[1])
 
 
-def _look_again(
-    predictor: Predictor, before: Point, after: Point, noise: Noise, leads: Sequence[float] = LEADS
-) -> tuple[list[Point], list[Gap]]:
-    """Both fits on other windows, their starts alone at their best, and the gaps under them."""
-    likelihood = make_likelihood(predictor, after.parameters, predictor.guess, noise)
-    fits = [settled(likelihood, fit.space, fit.z) for fit in (before, after)]
-    blocks, spun = blocks_of(predictor), spun_windows(fits[1])
-    return fits, [gap_of(predictor, fit, blocks, spun, leads) for fit in fits]
+def _look_again(fits: Fits, predictor: Predictor) -> Fits:
+    """Both fits on other windows, their starts alone at their best."""
+    likelihood = make_likelihood(predictor, fits.after.parameters, predictor.guess, fits.noise)
+    both = (fits.before, fits.after)
+    before, after = (residuals.settled(likelihood, fit.space, fit.z) for fit in both)
+    return replace(fits, likelihood=likelihood, before=before, after=after)
 
 
 CROSS: dict[float, float] = {0.25: 30.0, 3.0: np.inf}
@@ -151,12 +132,7 @@ class Horizon:
 
 
 def cross_check(
-    predictor: Predictor,
-    runs: Sequence[Run],
-    before: Point,
-    after: Point,
-    noise: Noise,
-    gaps: Sequence[Gap],
+    fits: Fits, runs: Sequence[Run], gaps: Sequence[Gap]
 ) -> tuple[tuple[Horizon, ...], list[Gap]]:
     """Whitened errors over `CROSS`, and the gaps with the errors at the longest lead added.
 
@@ -167,16 +143,12 @@ def cross_check(
         if seconds > 0.5 * min(run.driven for run in runs):
             continue
         try:
-            other = open_predictor(predictor.augmented, runs, seconds, most)
-            there = _look_again(other, before, after, noise, (seconds,))[1]
+            other = open_predictor(fits.predictor.augmented, runs, seconds, most)
+            there = _look_again(fits, other).gaps((seconds,))
         except (FloatingPointError, ValueError, np.linalg.LinAlgError):
             continue
         found.append(Horizon(seconds, there[0].whitened, there[1].whitened))
         if seconds > 1.0:
-            gaps = [
-                replace(
-                    g, errors=(*g.errors, *more.errors), intervals=(*g.intervals, *more.intervals)
-                )
-                for g, more in zip(gaps, there, strict=True)
-            ]
+            both = zip(gaps, there, strict=True)
+            gaps = [replace(gap, errors=(*gap.errors, *more.errors)) for gap, more in both]
     return tuple(found), list(gaps)

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from steerd.sysid.data.data_checks import Array
+from steerd.sysid.inference import residuals
 from steerd.sysid.inference.disturbance_response import INPUTS, responses
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
 from steerd.sysid.inference.predictor import Predictor
-from steerd.sysid.inference.residuals import interval_of, middle_of, robust_mean
+from steerd.sysid.inference.residuals import Gap, interval_of, middle_of, robust_mean
 from steerd.sysid.inference.search import Point
 
 EQUATIONS = {
@@ -40,6 +41,39 @@ _LIKE = 0.2  # what has more than this share of the worst window's excess belong
 _LISTED = 3  # moments that are listed
 _NEAR = 2.5  # windows this near to each other are at one place [m]
 _HUGE = 1e3  # a window that spun counts no more than this often
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """The base and its explanation on the same windows, and what they are judged by."""
+
+    likelihood: Likelihood  # the windows
+    before: Point  # the base alone; `after`: with the explanation
+    after: Point
+    noise: Noise  # what is taken as random; `floor`: what it leaves of the whitened error
+    floor: float
+    names: Sequence[str]  # of the drives
+
+    @property
+    def predictor(self) -> Predictor:
+        """The windows."""
+        return self.likelihood.predictor
+
+    @property
+    def blocks(self) -> NDArray[np.int64]:
+        """(W,) windows that follow each other."""
+        return residuals.blocks_of(self.predictor)
+
+    @property
+    def values(self) -> dict[str, tuple[float, ...]]:
+        """Parameters of the explanation's effects."""
+        places, at = self.predictor.augmented.places, self.after.parameters
+        return {e: tuple(at[places(e)].tolist()) for e in self.after.space.effects}
+
+    def gaps(self, leads: Sequence[float] = residuals.LEADS) -> list[Gap]:
+        """The gaps of both."""
+        spun, both = residuals.spun_windows(self.after), (self.before, self.after)
+        return [residuals.gap_of(self.predictor, fit, spun, leads) for fit in both]
 
 
 @dataclass(frozen=True)
@@ -87,17 +121,17 @@ class Where:
     sentence: str
 
 
-def equation_shares(predictor: Predictor, fitted: Point, noise: Noise) -> tuple[Share, ...]:
+def equation_shares(fits: Fits) -> tuple[Share, ...]:
     """Share of the removable error that hidden inputs to each equation would take away.
 
     Each of the five inputs gets a variance of its own by maximum likelihood (automatic relevance
     determination); inputs that explain nothing go to zero.
     """
-    seen = responses(predictor, fitted.parameters, fitted.x)
-    shaped = shapes(seen)
+    predictor, fitted = fits.predictor, fits.before
+    shaped = shapes(responses(predictor, fitted.parameters, fitted.x))
     error, by_starts = predictor.about_guess(fitted.x, fitted.linear)
-    known = covariance(predictor, noise, [*shaped[:3], slip_shape(predictor, fitted.linear.error)])
-    known += by_starts
+    slip = slip_shape(predictor, fitted.linear.error)
+    known = covariance(predictor, fits.noise, [*shaped[:3], slip]) + by_starts
     some = np.unique(np.linspace(0, len(error) - 1, 50).round().astype(int))
     logs = np.log(_SIZES)
     found = minimize(
@@ -109,8 +143,7 @@ def equation_shares(predictor: Predictor, fitted: Point, noise: Noise) -> tuple[
     pulled = np.linalg.solve(cov, error[:, :, None])[:, :, 0]
     taken = sizes * [np.einsum("wi,wij,wj->", pulled, v, pulled) for v in shaped]
     shares = taken / max(float(taken.sum()), 1e-12)
-    order = np.argsort(-shares)
-    return tuple(Share(INPUTS[i], float(shares[i])) for i in order)
+    return tuple(Share(INPUTS[i], float(shares[i])) for i in np.argsort(-shares))
 
 
 def _evidence(
@@ -130,12 +163,11 @@ def _evidence(
     return value, np.array(slope) * squares
 
 
-def channel_shares(likelihood: Likelihood, before: Point, after: Point) -> tuple[Share, ...]:
-    """Share of each channel in what the explanation removes (or in the error where none does)."""
-    precision, predictor = likelihood.precision, likelihood.predictor
-    white = [fitted.linear.error**2 * precision for fitted in (before, after)]
-    channel = predictor.channel
-    removed = white[0] - white[1] if before is not after else white[0]
+def channel_shares(fits: Fits) -> tuple[Share, ...]:
+    """Share of each channel in what the explanation removes."""
+    precision, channel = fits.likelihood.precision, fits.predictor.channel
+    before, after = (fit.linear.error**2 * precision for fit in (fits.before, fits.after))
+    removed = before - after
     parts = np.array([removed[channel == c].clip(-1e4, 1e4).sum() for c in range(5)]).clip(0.0)
     whole = max(float(parts.sum()), 1e-12)
     shares = [Share(name, float(p / whole)) for name, p in zip(CHANNELS, parts, strict=True)]
@@ -158,11 +190,11 @@ def conditions(predictor: Predictor, fitted: Point) -> dict[str, Array]:
     }  # fmt: skip
 
 
-def regimes(predictor: Predictor, fitted: Point, blocks: NDArray[np.int64]) -> tuple[Regime, ...]:
+def regimes(fits: Fits) -> tuple[Regime, ...]:
     """Bins of every variable in which the error differs from elsewhere, strongest first."""
-    each, found = fitted.at.ratio, []
+    each, blocks, found = fits.before.at.ratio, fits.blocks, []
     excess = np.maximum(np.minimum(each, 100.0) - 1.0, 0.0)
-    for name, values in conditions(predictor, fitted).items():
+    for name, values in conditions(fits.predictor, fits.before).items():
         unit, least = _VARIABLES[name]
         if np.subtract(*np.quantile(values, [0.95, 0.05])) < least:
             continue
@@ -180,9 +212,9 @@ def regimes(predictor: Predictor, fitted: Point, blocks: NDArray[np.int64]) -> t
     return tuple(sorted(found, key=lambda r: -r.ratio_low))
 
 
-def stretches(predictor: Predictor, fitted: Point, names: Sequence[str]) -> tuple[Stretch, ...]:
+def stretches(fits: Fits) -> tuple[Stretch, ...]:
     """Stretches in which the error stands out: windows above two medians, neighbours merged."""
-    layout, each = predictor.layout, np.minimum(fitted.at.ratio, 1e3)
+    layout, each = fits.predictor.layout, np.minimum(fits.before.at.ratio, 1e3)
     excess = np.maximum(each - 1.0, 0.0)
     bad = each > max(2.0 * float(np.median(each)), 1.5)
     found: list[Stretch] = []
@@ -191,7 +223,7 @@ def stretches(predictor: Predictor, fitted: Point, names: Sequence[str]) -> tupl
             mine = list(group)
             stop = layout.t[mine[-1]] + layout.spans[mine[-1], 3] * layout.h
             share = float(excess[mine].sum() / max(excess.sum(), 1e-9))
-            found.append(Stretch(names[run], float(layout.t[mine[0]]), float(stop), share))
+            found.append(Stretch(fits.names[run], float(layout.t[mine[0]]), float(stop), share))
     return tuple(sorted(found, key=lambda s: -s.share)[:12])
 
 
@@ -255,24 +287,12 @@ def moments_words(ratios: Array, run: Sequence[str], t: Array, place: Array) -> 
     return f"{share:.0%} of it is in {count}: {', '.join(moments)}{more}{where}"
 
 
-def locate(
-    likelihood: Likelihood,
-    before: Point,
-    after: Point,
-    noise: Noise,
-    blocks: NDArray[np.int64],
-    names: Sequence[str],
-) -> Where:
-    """All of it: `before` is the base, `after` the explanation (or the base again)."""
-    predictor = likelihood.predictor
-    equation = equation_shares(predictor, before, noise)
-    found = regimes(predictor, before, blocks)
-    layout = predictor.layout
-    moments = moments_words(
-        before.at.ratio, [names[run] for run in layout.run], layout.t, before.x[:, :2]
-    )
+def locate(fits: Fits) -> Where:
+    """All of it."""
+    equation, found = equation_shares(fits), regimes(fits)
+    layout, before = fits.predictor.layout, fits.before
+    names = [fits.names[run] for run in layout.run]
+    moments = moments_words(before.at.ratio, names, layout.t, before.x[:, :2])
     stage = "actuator" if equation[0].name in ("steer", "drive") else "forces"
-    return Where(
-        stage, equation, channel_shares(likelihood, before, after),
-        stretches(predictor, before, names), found[:6], sentence_of(equation, found, moments),
-    )  # fmt: skip
+    sentence = sentence_of(equation, found, moments)
+    return Where(stage, equation, channel_shares(fits), stretches(fits), found[:6], sentence)

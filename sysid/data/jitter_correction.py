@@ -38,8 +38,7 @@ def log_period(steer: Signal) -> float:
     if len(gaps) < _CHANGES_MIN:
         return 0.0
     period = float(np.median(gaps[gaps < 1.5 * np.percentile(gaps, 10.0)]))
-    off = np.abs(gaps / period - np.round(gaps / period))
-    regular = float(np.mean(off < 0.15))
+    regular = float(np.mean(np.abs(gaps / period - np.round(gaps / period)) < 0.15))
     return period if regular > 0.8 and PERIOD_LOW <= period <= PERIOD_HIGH else 0.0
 
 
@@ -77,14 +76,10 @@ def _losses(run: Run, delays: Array) -> tuple[Array, Array]:
     """Window centres (W,) [s], and their loss (W, S) with the steering earlier by each delay."""
     t, curvature, valid = _curvature(run)
     size, hop = round(_WINDOW / run.h), round(_HOP / run.h)
-    starts = [
-        a
-        for a in range(0, len(t) - size, hop)
-        if valid[a : a + size].all() and np.ptp(run.commands[a : a + size, 0]) > 0.0
-    ]
-    if not starts:
+    pick = np.arange(0, len(t) - size, hop)[:, None] + np.arange(size)
+    pick = pick[valid[pick].all(axis=1) & (np.ptp(run.commands[pick, 0], axis=1) > 0.0)]
+    if not len(pick):
         return np.empty(0), np.empty((0, len(delays)))
-    pick = np.array(starts)[:, None] + np.arange(size)
     y = curvature[pick]
     y = y - y.mean(axis=1, keepdims=True)
     left = []  # mean square residual of a regression on the steering with a slope of 0 or more

@@ -16,15 +16,9 @@ from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, m
 from steerd.sysid.estimation import outcome, validation
 from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.command_timing import time_commands
+from steerd.sysid.inference import plain_car
 from steerd.sysid.inference.car_fit import Stated, choose_start, fit_car
-from steerd.sysid.inference.plain_car import (
-    POOR,
-    Asked,
-    PlainCar,
-    default_free,
-    free_of,
-    search_plain,
-)
+from steerd.sysid.inference.plain_car import Asked, PlainCar
 from steerd.sysid.paper import SearchHistory
 from steerd.sysid.parallel import map_jobs
 
@@ -55,7 +49,7 @@ class Task:
     @property
     def question(self) -> Asked:
         """What is asked of the drives."""
-        free = self.free or default_free(self.model.chassis)
+        free = self.free or plain_car.default_free(self.model.chassis)
         return Asked(self.model, free, self.asked.wheelbase)
 
     @property
@@ -139,12 +133,10 @@ def _prepare(task: Task) -> tuple[Task, _Drives, tuple[PlainCar, ...]]:
         check_excited([run.commands[:, 0] for run in moving])
         roughs = _search_rough(task, moving)
         if roughs and any(run.servo_frame or run.speed_ramp for run in task.runs):
-            asked = task.question._replace(free=free_of(task.runs, task.question.free))
-            runs, held_out = (
-                tuple(time_commands(run, roughs[0], asked) for run in drives)
-                for drives in (task.runs, task.held_out)
-            )
-            task = replace(task, runs=runs, held_out=held_out)
+            asked = task.question._replace(free=plain_car.free_of(task.runs, task.question.free))
+            timed = partial(time_commands, rough=roughs[0], asked=asked)
+            runs, held_out = map(timed, task.runs), map(timed, task.held_out)
+            task = replace(task, runs=tuple(runs), held_out=tuple(held_out))
     moving = moving_segments(task.runs)
     if task.held_out:
         words = ", ".join(run.name for run in task.held_out)
@@ -164,9 +156,9 @@ def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[PlainCar, ...]:
     free, starts = task.question.free, _starts(task)
     if task.starts == 1 and prep.has_one_speed(moving):
         starts = [each for model in starts for each in prep.candidate_starts(model, free)]
-    asked = task.question._replace(free=free_of(moving, free))
+    asked = task.question._replace(free=plain_car.free_of(moving, free))
     each = [asked._replace(model=model) for model in starts]
-    found = map_jobs(partial(search_plain, moving), each, task.asked.jobs)
+    found = map_jobs(partial(plain_car.search_plain, moving), each, task.asked.jobs)
     return tuple(sorted((rough for rough in found if rough), key=lambda rough: rough.point.cost))
 
 
@@ -174,10 +166,8 @@ def _starts(task: Task) -> list[Model[float]]:
     """Where searches begin: about the car as given, or of the drives' own size."""
     if task.starts > 1:
         return prep.scatter(task.model, task.question.free, task.starts, task.asked.seed)
-    return [
-        prep.widen_end_stops(model, task.runs, task.question.free)
-        for model in prep.possible_starts(task.model, task.runs, task.stated)
-    ]
+    models = prep.possible_starts(task.model, task.runs, task.stated)
+    return [prep.widen_end_stops(model, task.runs, task.question.free) for model in models]
 
 
 def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcome.Fit:
@@ -188,7 +178,7 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcom
         ValueError: no window sees enough poses.
     """
     plain = _fit_plain(task, drives, roughs) if roughs and roughs[0].explains else None
-    if plain is not None and max(plain.misfit.values()) <= POOR:
+    if plain is not None and max(plain.misfit.values()) <= plain_car.POOR:
         return plain
     try:
         starts = prep.sliding_starts(_starts(task), drives.fitted, task.stated)
@@ -204,9 +194,9 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcom
 def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcome.Fit | None:
     """The plain car over whole blocks; what ends that are as good place elsewhere is open."""
     runs, asked = drives.fitted, task.question
-    able = asked._replace(free=free_of(runs, asked.free))
-    several = prep.has_one_speed(runs)
-    ends = [search_plain(runs, able, rough) for rough in (roughs if several else roughs[:1])]
+    able = asked._replace(free=plain_car.free_of(runs, asked.free))
+    begun = roughs if prep.has_one_speed(runs) else roughs[:1]
+    ends = [plain_car.search_plain(runs, able, rough) for rough in begun]
     if not (arrived := sorted((e for e in ends if e), key=lambda end: end.point.cost)):
         return None
     best, *others = arrived
@@ -260,7 +250,7 @@ def _notes(drives: _Drives, fit: outcome.Fit | None) -> tuple[str, ...]:
         return (*notes, "sd is the spread over the starts: this method has no error bars")
     if not fit.converged:
         notes.append("the search did not converge")
-    poor = {group: ratio for group, ratio in fit.misfit.items() if ratio > POOR}
+    poor = {group: ratio for group, ratio in fit.misfit.items() if ratio > plain_car.POOR}
     if poor:
         worst = max(poor, key=lambda group: poor[group])
         size = f"{poor[worst]:.{1 if poor[worst] < 10.0 else 0}f}"

@@ -22,18 +22,10 @@ from steerd.sysid.data.dataset import LogJitter, Pulse, Ramp, Run
 from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.estimation.validation import Prediction, Regime, Trace
+from steerd.sysid.inference import identifiability
 from steerd.sysid.inference.car_fit import FittedCar, Step
 from steerd.sysid.inference.car_posterior import describe_lost, file_of_fitted, knowledge_of
-from steerd.sysid.inference.identifiability import (
-    MANOEUVRES,
-    RELATIVE_MAX,
-    Combination,
-    Estimate,
-    combinations,
-    estimates,
-    estimates_with_sds,
-    silent_estimates,
-)
+from steerd.sysid.inference.identifiability import Combination, Estimate
 from steerd.sysid.inference.noise import Noise, signal_noise
 from steerd.sysid.inference.plain_car import Asked, PlainCar, covariance_of, misfit_of, silent_names
 from steerd.sysid.inference.predictor import HORIZON, Predictor
@@ -90,7 +82,7 @@ def fit_of_plain(
     covariance = covariance_of(found, doubts)
     pace = float(np.median(np.abs(np.concatenate([run.commands[:, 1] for run in runs]))))
     pace *= float(found.point.parameters[chart.names.index("speed_gain")])
-    known = estimates(chart, z, covariance)
+    known = identifiability.estimates(chart, z, covariance)
     at = {name: e.value for name, e in known.items()}
     values = tuple(
         tuple(at.get(f"{e.name}.{p.name}", v) for p, v in zip(e.parameters, own, strict=True))
@@ -99,14 +91,14 @@ def fit_of_plain(
     car = asked.model.car._replace(**{name: at[name] for name in at if "." not in name})
     return Fit(
         model=asked.model._replace(car=car, values=values),
-        estimates=known | silent_estimates(chart, silent_names(runs, asked.free)),
+        estimates=known | identifiability.silent_estimates(chart, silent_names(runs, asked.free)),
         labels=chart.labels,
         correlation=_correlation(covariance),
         converged=found.point.whole,
         misfit=found.misfit,
         residuals=_residuals(found.predictor, found.point.linear.error, found.noise),
         horizon=float(found.predictor.layout.spans[:, 3].mean() * runs[0].h),
-        combinations=combinations(chart, z, covariance, pace),
+        combinations=identifiability.combinations(chart, z, covariance, pace),
     )
 
 
@@ -126,9 +118,10 @@ def fit_of_windows(
     signal = signal_noise(estimate_noise(runs))
     at = with_size(fitted.likelihood, fitted.point, 0.0)
     predictor, error = fitted.likelihood.predictor, at.linear.error
+    values = parameter_vector(found.model)
     return Fit(
         model=found.model,
-        estimates=estimates_with_sds(found.effects, parameter_vector(found.model), sds),
+        estimates=identifiability.estimates_with_sds(found.effects, values, sds),
         labels=fitted.point.space.chart.labels,
         correlation=_correlation(known.covariance),
         converged=fitted.point.whole,
@@ -232,15 +225,7 @@ def encode_outcome(outcome: Outcome) -> dict[str, Any]:
         },
         "combinations": [c.__dict__ for c in outcome.combinations],
         "held_out": {
-            "horizons": [
-                {
-                    name + when: value
-                    for when, errors in (("", after), ("_before", before))
-                    for name, value in errors._asdict().items()
-                    if name + when != "horizon_before"
-                }
-                for after, before in outcome.held_out
-            ],
+            "horizons": [_encode_errors(*errors) for errors in outcome.held_out],
             "regimes": [regime._asdict() for regime in outcome.regimes],
         },
         "excitation": outcome.excitation._asdict(),
@@ -248,6 +233,12 @@ def encode_outcome(outcome: Outcome) -> dict[str, Any]:
         "misfit": None if outcome.fit is None else outcome.fit.misfit,
         "notes": list(outcome.notes),
     }  # fmt: skip
+
+
+def _encode_errors(after: Prediction, before: Prediction) -> dict[str, float]:
+    """The errors at one horizon, those before under other names."""
+    _, *earlier = before._asdict().items()
+    return after._asdict() | {f"{name}_before": value for name, value in earlier}
 
 
 def make_rows(
@@ -279,6 +270,6 @@ def searched_estimates(searches: Sequence[SearchHistory]) -> dict[str, Estimate]
     spread = finals.std(axis=0, ddof=1) if len(finals) > 1 else np.full(len(NAMES), nan)
     out = {}
     for name, value, sd in zip(NAMES, best.tolist(), spread.tolist(), strict=True):
-        known = sd < RELATIVE_MAX * value
-        out[name] = Estimate(value, sd, known, "" if known else MANOEUVRES[name])
+        known = sd < identifiability.RELATIVE_MAX * value
+        out[name] = Estimate(value, sd, known, "" if known else identifiability.MANOEUVRES[name])
     return out

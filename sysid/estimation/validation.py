@@ -11,13 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from steerd.car_model.model import Model
-from steerd.car_model.native.windows import (
-    HeldCommands,
-    compute_readings,
-    delays_of,
-    make_kernels,
-    parameter_vector,
-)
+from steerd.car_model.native import windows as compiled
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.windows import Layout, estimate_noise, make_layout, make_stations
@@ -49,9 +43,7 @@ class Prediction(NamedTuple):
 class Trace(NamedTuple):
     """Measured and predicted poses of one window, for looking at."""
 
-    run: int  # which drive; t: time into it [s]; ahead: time since the prediction's start [s]
-    t: Array
-    ahead: Array
+    ahead: Array  # (M,) time since the prediction's start [s]
     measured: Array  # (M, 3) poses; predicted: (M, 3) poses
     predicted: Array
 
@@ -65,25 +57,27 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
     """
     check_sources(runs)
     model = prescribe_speed(model, runs)
-    kernels, parameters = make_kernels(model.effects, model.chassis), parameter_vector(model)
-    late = float(delays_of(kernels, parameters)[2])
+    kernels = compiled.make_kernels(model.effects, model.chassis)
+    parameters = compiled.parameter_vector(model)
+    late = float(compiled.delays_of(kernels, parameters)[2])
     layout = make_layout(runs, _ROOM * (PAST + horizon), late)
     speeds = layout.window_speeds
     substeps = stable_substeps(model.car, speeds.min(), speeds.max(), layout.h)
-    held = HeldCommands(layout.commands, layout.h, substeps)
+    held = compiled.HeldCommands(layout.commands, layout.h, substeps)
     stations, windows = make_stations(layout, late, held.fine), layout.kernel_windows(substeps)
     seeds, dfirst = np.zeros((len(parameters), _STATES)), np.eye(_STATES)
 
     def look(x: Array) -> tuple[Array, Array]:
-        return compute_readings(kernels, parameters, seeds, x, dfirst, held, windows, stations)
+        return compiled.compute_readings(
+            kernels, parameters, seeds, x, dfirst, held, windows, stations
+        )
 
     sigma = np.maximum(estimate_noise(runs), _FLOORS)
     y, seen, found = look(_settle(layout, sigma, look))[0], layout.seen, []
     for w in range(len(layout.spans)):
         mine = (seen.window == w) & (seen.kind == 0)
-        rows, t = seen.row[mine][:, None] + np.arange(3), seen.t[mine]
-        run, start = int(layout.run[w]), layout.t[w]
-        found.append(Trace(run, start + t, t - PAST, layout.values[rows], y[rows]))
+        rows = seen.row[mine][:, None] + np.arange(3)
+        found.append(Trace(seen.t[mine] - PAST, layout.values[rows], y[rows]))
     return found
 
 

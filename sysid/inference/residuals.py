@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,25 +28,35 @@ BLOCK = 3
 """Windows that follow each other and count as one when uncertainty is estimated."""
 
 
+class Error(NamedTuple):
+    """Root mean square of an error over windows, and its 90 % interval; 0 without any."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Lead(NamedTuple):
+    """Errors so long after the windows' starts."""
+
+    seconds: float  # how long [s]
+    position: Error  # [m]; yaw: [rad]; speed: [m/s]
+    yaw: Error
+    speed: Error
+
+
 @dataclass(frozen=True)
 class Gap:
     """Prediction error of windows."""
 
     whitened: float  # squared error per degree of freedom, robust; 1 is noise alone
     interval: tuple[float, float]  # 90 % interval of it
-    # Rows (lead [s], position [m], yaw [rad], speed [m/s]), root mean squares
-    errors: tuple[tuple[float, float, float, float], ...]
-    # (position, yaw, speed) 90 % intervals of each row
-    intervals: tuple[tuple[tuple[float, float], ...], ...]
+    errors: tuple[Lead, ...]
 
-    @property
-    def known_leads(self) -> list[int]:
-        """Which rows have errors: windows may end just before the last."""
-        return [i for i, row in enumerate(self.errors) if row[1] > 0.0]
-
-    def position(self, lead: float) -> float:
-        """Root mean square of the position error after `lead` seconds [m], NaN if not reported."""
-        return next((row[1] for row in self.errors if row[0] == lead), float("nan"))
+    def position(self, seconds: float) -> float:
+        """Root mean square of the position error after so long [m], NaN if not reported."""
+        found = (lead.position.value for lead in self.errors if lead.seconds == seconds)
+        return next(found, float("nan"))
 
 
 def settled(likelihood: Likelihood, space: Space, z: Array, x: Array | None = None) -> Point:
@@ -95,29 +106,22 @@ def spun_windows(fitted: Point) -> NDArray[np.bool_]:
 
 
 def gap_of(
-    predictor: Predictor,
-    fitted: Point,
-    blocks: NDArray[np.int64],
-    spun: NDArray[np.bool_],
-    leads: Sequence[float] = LEADS,
+    predictor: Predictor, fitted: Point, spun: NDArray[np.bool_], leads: Sequence[float]
 ) -> Gap:
     """The gap under a fit; windows that are `spun` count in the whitened error alone."""
-    interval = middle_of(interval_of(fitted.at.ratio, blocks))
-    rows, bounds = [], []
-    for lead in leads:
-        each = _at_lead(predictor, fitted.linear.error, lead, ~spun)
-        a, b, d = (float(np.sqrt(np.mean(v**2))) if len(v) else 0.0 for v in each)
-        rows.append((lead, a, b, d))
-        bounds.append(tuple(_rms_interval(c) for c in each))
-    return Gap(robust_mean(fitted.at.ratio), interval, tuple(rows), tuple(bounds))
+    interval = middle_of(interval_of(fitted.at.ratio, blocks_of(predictor)))
+    each = [_at_lead(predictor, fitted.linear.error, lead, ~spun) for lead in leads]
+    errors = (Lead(lead, *map(_rms, kinds)) for lead, kinds in zip(leads, each, strict=True))
+    return Gap(robust_mean(fitted.at.ratio), interval, tuple(errors))
 
 
-def _rms_interval(errors: Array) -> tuple[float, float]:
+def _rms(errors: Array) -> Error:
     if not len(errors):
-        return 0.0, 0.0
+        return Error(0.0, 0.0, 0.0)
     rng = np.random.default_rng(0)
     drawn = errors[rng.integers(len(errors), size=(_BOOTSTRAPS, len(errors)))]
-    return middle_of(np.sqrt((drawn**2).mean(axis=1)))
+    interval = middle_of(np.sqrt((drawn**2).mean(axis=1)))
+    return Error(float(np.sqrt(np.mean(errors**2))), *interval)
 
 
 def _at_lead(

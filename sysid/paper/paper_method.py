@@ -21,16 +21,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from steerd.car_model.native.windows import (
-    STATES,
-    HeldCommands,
-    Kernels,
-    make_kernels,
-    make_window_blocks,
-    march,
-    march_back,
-    view_by_window,
-)
+from steerd.car_model.native import windows as compiled
 from steerd.car_model.params import Car
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
@@ -77,10 +68,8 @@ def paper_runs(runs: Sequence[Run]) -> tuple[PaperRun, ...]:
         moving = np.concatenate([[False], run.commands[:, 1] > MOVING, [False]])
         edges = np.flatnonzero(np.diff(moving.astype(int)))
         for low, high in zip(edges[::2] * run.h, edges[1::2] * run.h, strict=True):
-            count = max(1, round((high - low) / SECONDS))
-            edges_of_runs = np.linspace(low, high, count + 1)
-            found += [_piece(run, a, b) for a, b in pairwise(edges_of_runs)
-                      if b - a >= DURATION_MIN]  # fmt: skip
+            ends = pairwise(np.linspace(low, high, max(1, round((high - low) / SECONDS)) + 1))
+            found += [_piece(run, a, b) for a, b in ends if b - a >= DURATION_MIN]
     if not found:
         raise ValueError(f"no {DURATION_MIN:g} s with a speed command")
     return tuple(found)
@@ -99,21 +88,21 @@ def _piece(run: Run, low: float, high: float) -> PaperRun:
 class PaperProblem(NamedTuple):
     """The paper's loss over some runs."""
 
-    kernels: Kernels  # the compiled car without effects
+    kernels: compiled.Kernels  # the compiled car without effects
     runs: tuple[PaperRun, ...]  # at least one
     base: Array  # (P,) parameters; those of `NAMES` are replaced
 
 
 def make_problem(runs: tuple[PaperRun, ...], base: Car[float] = PAPER_CAR_DIRECT) -> PaperProblem:
     """The paper's problem about a car whose actuators follow at once."""
-    return PaperProblem(make_kernels(), runs, np.array(base, float))
+    return PaperProblem(compiled.make_kernels(), runs, np.array(base, float))
 
 
 # -- the loss: simulated paths, distances of two paths ---------------------------------------------
 
 
 def simulate(
-    kernels: Kernels,
+    kernels: compiled.Kernels,
     parameters: Tensor,
     first: Tensor,
     commands: Tensor,
@@ -136,15 +125,15 @@ def simulate(
     """
     if {parameters.dtype, first.dtype, commands.dtype} != {torch.float64}:
         raise TypeError("parameters, first states and commands must be float64")
-    missing = STATES + kernels.memory - first.shape[-1]
+    missing = compiled.STATES + kernels.memory - first.shape[-1]
     if missing:
         first = torch.nn.functional.pad(first, (0, missing))
     count, length = commands.shape[:2]
     low = np.arange(count) * length
     runs = np.stack([low, low + length, low + history], axis=1)
-    blocks = make_window_blocks(runs, np.full(count, t))
+    blocks = compiled.make_window_blocks(runs, np.full(count, t))
     orders = np.ascontiguousarray(commands.detach().numpy()).reshape(-1, 2)
-    held = HeldCommands(orders, h, substeps, integrator)
+    held = compiled.HeldCommands(orders, h, substeps, integrator)
     steps = (length - history) * substeps
     path: Tensor = _Simulate.apply(parameters, first, commands, kernels, held, blocks, steps)  # type: ignore[no-untyped-call]
     return path[:, ::substeps]
@@ -158,9 +147,9 @@ class _Simulate(torch.autograd.Function):
         """March."""
         kernels, held, blocks, steps = about
         values, begin = (np.ascontiguousarray(t.detach().numpy()) for t in (parameters, first))
-        path = march(kernels, values, begin, held, blocks, steps)
+        path = compiled.march(kernels, values, begin, held, blocks, steps)
         ctx.state = (kernels, values, path, held, blocks)
-        return view_by_window(torch.from_numpy(path), len(commands))
+        return compiled.view_by_window(torch.from_numpy(path), len(commands))
 
     @staticmethod
     @once_differentiable
@@ -168,7 +157,7 @@ class _Simulate(torch.autograd.Function):
         """March back."""
         kernels, values, path, held, blocks = ctx.state
         wanted = ctx.needs_input_grad[2]
-        slopes = march_back(kernels, values, path, bars.numpy(), held, blocks, wanted)
+        slopes = compiled.march_back(kernels, values, path, bars.numpy(), held, blocks, wanted)
         found = (slopes.parameters, np.ascontiguousarray(slopes.first), slopes.commands)
         by_parameters, by_first, by_commands = map(torch.from_numpy, found)
         shaped = by_commands.reshape(blocks.windows, -1, 2) if wanted else None

@@ -88,10 +88,8 @@ class Band(NamedTuple):
 def list_series(rows: Rows, quantities: Sequence[str]) -> Iterator[Series]:
     """The series of every car and quantity that have enough drives."""
     for car in sorted({str(row["car"]) for row in rows if row.get("car") is not None}):
-        own = sorted(
-            (row for row in rows if row.get("car") == car and row.get("start") is not None),
-            key=lambda row: (row["start"], row["session"]),
-        )
+        own = [row for row in rows if row.get("car") == car and row.get("start") is not None]
+        own.sort(key=lambda row: (row["start"], row["session"]))
         for name in quantities:
             known = [row for row in own if row.get(name) is not None]
             if len(known) >= LEAST:

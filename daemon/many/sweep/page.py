@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
-from steerd.daemon.many.job import Rows
 from steerd.daemon.many.sweep import summary as figures
 from steerd.daemon.many.sweep.plan import DRIVEN, Choice, Distribution
 from steerd.daemon.many.sweep.summary import Summary
@@ -105,20 +104,17 @@ def _describe(choice: Choice) -> str:
     return shown + (", …" if len(choice) > _VALUES else "")
 
 
-def _scaled(rows: Rows, name: str) -> figures.Array:
-    return figures.column(rows, name) * figures.find_scale(name)
-
-
 def _draw_histograms(found: Summary) -> list[Diagrams]:
     """How often each measure takes which value."""
     names = [spread.name for spread in found.spreads]
 
     def plot(*axes: Axes) -> None:
         for axis, name in zip(axes, names, strict=True):
-            values = _scaled(found.rows, name)
+            factor, label = figures.find_scale(name)
+            values = factor * figures.column(found.rows, name)
             axis.hist(values[np.isfinite(values)], bins=_BINS, color=BEFORE)
             axis.locator_params(axis="x", nbins=_TICKS)
-            axis.set(title=figures.name_measure(name), ylabel="drives")
+            axis.set(title=label, ylabel="drives")
             axis.locator_params(axis="y", integer=True)
 
     return [Diagrams(plot, 1.9, count=len(names), columns=3)] if names else []
@@ -136,10 +132,11 @@ def _draw_scatters(found: Summary) -> list[Diagrams]:
                 names = sorted({str(value) for value in given})
                 axis.set_xticks(range(len(names)), [clean(name, 14) for name in names])
                 given = [names.index(str(value)) for value in given]
-            seen = _scaled(found.rows[:_POINTS], s.measure)
+            factor, label = figures.find_scale(s.measure)
+            seen = factor * figures.column(found.rows[:_POINTS], s.measure)
             axis.plot(given, seen, ".", ms=2.5, color=AFTER, alpha=0.6)
             unit = units[s.quantity]
             axis.set_xlabel(f"{s.quantity} [{unit}]" if unit not in ("", "1") else s.quantity)
-            axis.set_ylabel(figures.name_measure(s.measure))
+            axis.set_ylabel(label)
 
     return [Diagrams(plot, 2.4, count=len(strong), columns=3)] if strong else []

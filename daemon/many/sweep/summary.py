@@ -116,48 +116,40 @@ def column(rows: Rows, name: str) -> Array:
     if name == STOPS:
         ends = {DRIVEN: 0.0, STOPPED: 1.0}
         return np.array([ends.get(str(row["outcome"]), np.nan) for row in rows])
-    values = (row.get(name) for row in rows)
-    return np.array([np.nan if value is None else float(value) for value in values])
+    return np.array([row.get(name) for row in rows], dtype=float)
 
 
 def _sensitivities(plan: SweepPlan, rows: Rows) -> list[Sensitivity]:
     """Each varied quantity against each measure; none where either does not vary."""
     found = []
     for quantity in plan.quantities:
-        texts = np.array([str(row[quantity.name]) for row in rows]) if quantity.is_text else None
-        given = None if quantity.is_text else column(rows, quantity.name)
-        for name in (*(c.name for c in MEASURES), STOPS):
+        given = np.array([row[quantity.name] for row in rows])
+        for name in (*UNITS, STOPS):
             seen = column(rows, name)
             known = np.isfinite(seen)
-            if known.sum() < _LEAST or np.ptp(seen[known]) == 0.0:
+            kinds = np.unique(given[known])
+            if known.sum() < _LEAST or np.ptp(seen[known]) == 0.0 or len(kinds) < 2:
                 continue
-            if given is not None and np.ptp(given[known]) > 0.0:
-                value = float(stats.spearmanr(given[known], seen[known]).statistic)
-                low, high = np.quantile(given[known], (0.2, 0.8))  # the outer fifths, with ties
-                outer = (seen[known & (given <= low)], seen[known & (given >= high)])
-                means, groups = (float(outer[0].mean()), float(outer[1].mean())), 2
-            elif texts is not None and len(set(texts[known])) > 1:
-                each = [seen[known & (texts == text)] for text in sorted(set(texts[known]))]
+            if quantity.is_text:
+                each = [seen[known & (given == text)] for text in kinds]
                 value = sqrt(stats.kruskal(*each).statistic / (known.sum() - 1))
                 sizes = [float(group.mean()) for group in each]
                 means, groups = (min(sizes), max(sizes)), len(each)
             else:
-                continue
+                value = float(stats.spearmanr(given[known], seen[known]).statistic)
+                low, high = np.quantile(given[known], (0.2, 0.8))  # the outer fifths, with ties
+                outer = (seen[known & (given <= low)], seen[known & (given >= high)])
+                means, groups = (float(outer[0].mean()), float(outer[1].mean())), 2
             least = _Z * sqrt((groups - 1) / (known.sum() - 1))
             found.append(Sensitivity(quantity.name, name, value, min(least, 1.0), *means))
     return found
 
 
-def find_scale(name: str) -> float:
-    """From a measure's SI unit to the unit that people read."""
-    return SCALES.get(UNITS.get(name, ""), (1.0, ""))[0]
-
-
-def name_measure(name: str) -> str:
-    """A measure with the unit that people read."""
+def find_scale(name: str) -> tuple[float, str]:
+    """From a measure's SI unit to the unit that people read; the measure's name with that."""
     unit = UNITS.get(name, "")
-    unit = SCALES.get(unit, (1.0, unit))[1]
-    return f"{name} [{unit}]" if unit else name
+    factor, unit = SCALES.get(unit, (1.0, unit))
+    return factor, f"{name} [{unit}]" if unit else name
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,9 +217,9 @@ class Summary(Found):
         """The distribution of each measure."""
         rows = []
         for s in self.spreads:
-            factor, values = find_scale(s.name), (s.low, s.middle, s.high, s.worst)
-            figures = (f"{value * factor:.3g}" for value in values)
-            rows.append((name_measure(s.name), *figures, str(s.worst_drive)))
+            factor, name = find_scale(s.name)
+            figures = (f"{value * factor:.3g}" for value in (s.low, s.middle, s.high, s.worst))
+            rows.append((name, *figures, str(s.worst_drive)))
         return Table(("measure", "5 %", "median", "95 %", "worst", "in drive"), rows)
 
     def __str__(self) -> str:
@@ -242,8 +234,9 @@ class Summary(Found):
         if strong := self.list_strongest()[:_SHOWN]:
             found = []
             for s in strong:
-                moved = (f"{find_scale(s.measure) * mean:.3g}" for mean in (s.start, s.end))
-                found.append((s.quantity, name_measure(s.measure), *moved, f"{s.value:+.2f}"))
+                factor, name = find_scale(s.measure)
+                moved = (f"{factor * mean:.3g}" for mean in (s.start, s.end))
+                found.append((s.quantity, name, *moved, f"{s.value:+.2f}"))
             heads = ("what moves", "what", "from", "to", "rank correlation")
             parts.append(Table(heads, found, words=(1,)))
         return "\n".join([*lines, *(line for part in parts for line in ("", *format_table(part)))])

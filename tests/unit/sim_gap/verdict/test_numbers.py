@@ -13,12 +13,12 @@ from steerd.sim_gap.verdict import where
 from steerd.sim_gap.verdict.shrinkage import _shares, explained_share, noise_level
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.likelihood import Reduced
-from steerd.sysid.inference.residuals import Gap, held_out, interval_of, robust_mean
+from steerd.sysid.inference.residuals import Error, Gap, Lead, held_out, interval_of, robust_mean
 
 
 def _gap(*errors: tuple[float, float]) -> Gap:
-    """A gap with position errors [m] after so many seconds."""
-    return Gap(0.9, (0.8, 1.0), tuple((lead, off, 0.0, 0.0) for lead, off in errors), ())
+    """A gap with errors [m, rad, m/s] after so many seconds."""
+    return Gap(0.9, (0.8, 1.0), tuple(Lead(t, *[Error(e, e, e)] * 3) for t, e in errors))
 
 
 def test_position_errors_that_grow_are_told_by_their_lead_and_too_large_ones_with_what_to_do():

@@ -181,7 +181,7 @@ def test_errors_are_told_by_lateral_acceleration():
     def trace(rate, off):
         yaw = rate * ahead
         measured = np.column_stack([np.sin(yaw) / rate, (1 - np.cos(yaw)) / rate, yaw])
-        return Trace(0, ahead, ahead, measured, measured + np.array([off, 0.0, 0.0]))
+        return Trace(ahead, measured, measured + np.array([off, 0.0, 0.0]))
 
     slow, fast = by_lateral_acceleration([trace(1.0, 0.01), trace(3.0, 0.2)], 1.0)
     assert (slow[:3], slow.median) == ((0.0, 2.0, 1), pytest.approx(0.01))
