@@ -36,7 +36,7 @@ class RunOptions:
     simulated: bool = False
     auto_arm: bool = False  # arm and start without an operator (simulated hardware only)
     effects: tuple[str, ...] = ()
-    listen: str = "tcp/127.0.0.1:7447"  # zenoh endpoint of the gateway, or "" for none
+    listen: str = "tcp/127.0.0.1:7447"  # zenoh endpoint of the gateway
     lab: str = ""  # this machine's folder of `steerd keys`, or "" for plain loopback
     insecure_lan: bool = False
     drill: str = ""  # excitation plan of `steerd collect` (see `plans.parse_drill`), or ""

@@ -16,7 +16,7 @@ from tests.csv_logs import import_log, make_noisy_rows
 from tests.safety.live import free_endpoint
 
 SIM = "run --sim --fast --duration 1"
-LIVE = "run --listen '' --mocap natnet://127.0.0.1/car --port /dev/ttyACM0"
+LIVE = "run --mocap natnet://127.0.0.1/car --port /dev/ttyACM0"
 PORT = "--port /dev/vesc --mocap natnet://10.0.0.2/car"
 
 TABLE = [

@@ -126,7 +126,6 @@ def _list_conflicts(args: Namespace) -> Iterator[tuple[bool, str, str]]:
     page = args.page is not None
     yield page and args.fast, "--page shows a drive as it happens", "drop --fast"
     yield page and not 0 <= args.page < 65536, f"--page {args.page}: a port, 0 to 65535", ""
-    yield page and args.listen == "", "--page needs the bus", "drop --listen ''"
     what = "--page: in a lab the page runs where the operator sits"
     yield page and args.lab is not None, what, "steerd page --lab DIR, with an operator's folder"
     domain = args.ros_domain
