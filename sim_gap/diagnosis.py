@@ -203,6 +203,11 @@ def grown_leads(before: Gap, after: Gap) -> tuple[float, ...]:
     return tuple(lead for lead in most if after.position(lead) > most[lead])
 
 
+def is_far(gap: Gap) -> bool:
+    """Whether position errors surely are larger than noise excuses; one spin is metres long."""
+    return any(e.position.low > c.FAR.get(e.seconds, np.inf) for e in gap.errors)
+
+
 def _conclude(search: _Search, progress: Progress, written: Callable[[str], None]) -> Diagnosis:
     """Everything that follows from the hypotheses."""
     found, case = search.found, search.case
@@ -221,8 +226,7 @@ def _conclude(search: _Search, progress: Progress, written: Callable[[str], None
     horizons: tuple[Horizon, ...] = ()
     if case.horizons:
         horizons, gaps = cross_check(fits, case.runs, gaps)
-        far = any(gaps[0].position(lead) > most for lead, most in c.FAR.items())
-        if verdict == "none" and far:
+        if verdict == "none" and is_far(gaps[0]):
             verdict = "unjudged"
         if judged.causes and (leads := grown_leads(*gaps)):
             shown = ", ".join(f"{lead:g} s" for lead in leads)
