@@ -106,11 +106,10 @@ def test_steerd_links_to_every_room_and_to_nothing_else():
         assert path.resolve().is_relative_to(ROOT)
 
 
-@pytest.mark.parametrize(
-    ("module", "heavy"),
-    [("cli.commands.run", {"torch"}), ("loop.core", {"torch", "zenoh", "mcap"}),
-     ("offline.virtual", {"torch"})],
-)  # fmt: skip
+@pytest.mark.parametrize(("module", "heavy"), [
+    ("cli.commands.run", {"torch"}), ("loop.core", {"torch", "zenoh", "mcap"}),
+    ("offline.virtual", {"torch"}),
+])  # fmt: skip
 def test_driving_imports_no_torch_and_the_core_neither_zenoh_nor_mcap(module, heavy):
     code = f"import sys, steerd.daemon.{module}; sys.exit(bool({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False)

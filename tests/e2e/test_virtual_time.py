@@ -20,13 +20,12 @@ SLOW_STEERING = "--effect steer_delay=0.03 --effect steer_lag=0.03"
 CAR_FILE = Path(__file__).resolve().parents[2] / "config" / "f1tenth.toml"
 
 
-@pytest.mark.parametrize(
-    ("line", "bound"),
-    [("--path circle:radius=2 --speed 1 --duration 16", 0.0015),
-     ("--path figure8 --speed 1.5 --duration 19", 0.002),
-     ("--path figure8 --speed 1.5 --duration 5 --rate 200", 0.0015),
-     ("--path line --speed 1.5 --duration 6", 0.001)],
-)  # fmt: skip
+@pytest.mark.parametrize(("line", "bound"), [
+    ("--path circle:radius=2 --speed 1 --duration 16", 0.0015),
+    ("--path figure8 --speed 1.5 --duration 19", 0.002),
+    ("--path figure8 --speed 1.5 --duration 5 --rate 200", 0.0015),
+    ("--path line --speed 1.5 --duration 6", 0.001),
+])  # fmt: skip
 def test_the_car_keeps_its_lane_and_replays(drive_fast, capsys, line, bound):
     """The first two go round once after they have settled: 12.6 m, 22.7 m."""
     driven = drive_fast(line)

@@ -82,32 +82,31 @@ def test_every_parameter_must_be_there_within_bounds(parameter):
         assert getattr(parse_car(edited(f"{p.name} ", f"{p.name} = {ok}"), HERE).car, p.name) == ok
 
 
-@pytest.mark.parametrize(
-    ("text", "where", "what"),
-    [("", "[car]", "is missing"), ("[vesc]\nerpm_gain = 1\n", "[car]", "is missing"),
-     ("[car]\n", "car.lf", "is missing"), ("car = 3\n", "car", "is not a section"),
-     ("x = 3\n" + TEXT, "x", "is not a section"), ("[[car]]\n", "car", "is not a section"),
-     ("[car\n", "line 1", "Expected"), (TEXT + "[car]\n", "line", "Cannot declare"),
-     (edited("lf ", "lf = true"), "car.lf", "expected a number, got true/false"),
-     (edited("lf ", "lf = 'wide'"), "car.lf", "expected a number, got text"),
-     (edited("lf ", "lf = []"), "car.lf", "expected a number"),
-     (edited("lf ", "lf = 1979-05-27"), "car.lf", "expected a number"),
-     (edited("lf ", "lf = " + "9" * 400), "car.lf", ""),
-     (edited("lf ", "lf = 0.1\nlz = 0.1"), "car.lz", "is not known"),
-     (edited("name ", "name = 3"), "car.name", "expected text"),
-     (edited("chassis ", "chassis = 2"), "car.chassis", "expected text"),
-     (edited("chassis ", 'chassis = "bicycle"'), "car.chassis", "no chassis 'bicycle'"),
-     (TEXT.replace('drive = "all"', 'drive = "left"', 1), "car.chassis", "drive is 'left'"),
-     (TEXT + "[car.sd]\nlz = 1\n", "car.sd", "no parameter 'lz'"),
-     (TEXT + "[car.sd]\nlf = -1\n", "car.sd", "expected a number >= 0"),
-     (TEXT + "[effects]\nx = 1\n", "effects.x", "no effect 'x'"),
-     (TEXT + "[effects]\nmass = 1\n", "effects.mass", "expected a table"),
-     (TEXT + "[effects.mass]\npayload = 99\n", "effects.mass.payload", "expected a number <= 5"),
-     (TEXT + "[effects.mass]\nload = 1\n", "effects.mass.load", "is not known"),
-     (TEXT + "[effects.mass]\n[effects.payload]\n", "effects.mass", "is given twice"),
-     (TEXT + "[effects.mass.sd]\nload = 1\n", "effects.mass.sd", "no parameter"),
-     (TEXT + "\nx = " + "[" * 50_000, "", "nested too deeply"), ("\0", "line 1", "")],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "where", "what"), [
+    ("", "[car]", "is missing"), ("[vesc]\nerpm_gain = 1\n", "[car]", "is missing"),
+    ("[car]\n", "car.lf", "is missing"), ("car = 3\n", "car", "is not a section"),
+    ("x = 3\n" + TEXT, "x", "is not a section"), ("[[car]]\n", "car", "is not a section"),
+    ("[car\n", "line 1", "Expected"), (TEXT + "[car]\n", "line", "Cannot declare"),
+    (edited("lf ", "lf = true"), "car.lf", "expected a number, got true/false"),
+    (edited("lf ", "lf = 'wide'"), "car.lf", "expected a number, got text"),
+    (edited("lf ", "lf = []"), "car.lf", "expected a number"),
+    (edited("lf ", "lf = 1979-05-27"), "car.lf", "expected a number"),
+    (edited("lf ", "lf = " + "9" * 400), "car.lf", ""),
+    (edited("lf ", "lf = 0.1\nlz = 0.1"), "car.lz", "is not known"),
+    (edited("name ", "name = 3"), "car.name", "expected text"),
+    (edited("chassis ", "chassis = 2"), "car.chassis", "expected text"),
+    (edited("chassis ", 'chassis = "bicycle"'), "car.chassis", "no chassis 'bicycle'"),
+    (TEXT.replace('drive = "all"', 'drive = "left"', 1), "car.chassis", "drive is 'left'"),
+    (TEXT + "[car.sd]\nlz = 1\n", "car.sd", "no parameter 'lz'"),
+    (TEXT + "[car.sd]\nlf = -1\n", "car.sd", "expected a number >= 0"),
+    (TEXT + "[effects]\nx = 1\n", "effects.x", "no effect 'x'"),
+    (TEXT + "[effects]\nmass = 1\n", "effects.mass", "expected a table"),
+    (TEXT + "[effects.mass]\npayload = 99\n", "effects.mass.payload", "expected a number <= 5"),
+    (TEXT + "[effects.mass]\nload = 1\n", "effects.mass.load", "is not known"),
+    (TEXT + "[effects.mass]\n[effects.payload]\n", "effects.mass", "is given twice"),
+    (TEXT + "[effects.mass.sd]\nload = 1\n", "effects.mass.sd", "no parameter"),
+    (TEXT + "\nx = " + "[" * 50_000, "", "nested too deeply"), ("\0", "line 1", ""),
+])  # fmt: skip
 def test_a_wrong_file_is_refused_with_place_and_reason(text, where, what):
     found = error(text)
     assert where in found.where

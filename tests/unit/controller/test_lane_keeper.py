@@ -137,12 +137,10 @@ MS = 1_000_000
 CAR = DEFAULT_CAR._replace(steer_gain=0.9, steer_bias=0.01, steer_lag=0.05)
 
 
-@pytest.mark.parametrize(
-    ("ms", "order", "wheel", "rel"),
-    [(29, 0.2, 0.01, 1e-6), (79, 0.2, 0.01 + 0.18 * (1.0 - exp(-1.0)), 1e-2),
-     (500, 0.2, 0.9 * 0.2 + 0.01, 1e-3), (800, 1.0, CAR.steer_max, 1e-3)],
-    ids=["dead time", "lag", "settled", "end stop"],
-)  # fmt: skip
+@pytest.mark.parametrize(("ms", "order", "wheel", "rel"), [
+    (29, 0.2, 0.01, 1e-6), (79, 0.2, 0.01 + 0.18 * (1.0 - exp(-1.0)), 1e-2),
+    (500, 0.2, 0.9 * 0.2 + 0.01, 1e-3), (800, 1.0, CAR.steer_max, 1e-3),
+], ids=["dead time", "lag", "settled", "end stop"])  # fmt: skip
 def test_where_the_wheel_is(ms, order, wheel, rel):
     servo = order_servo(Servo(t_ns=0, wheel=0.01), 0, Command(order, 1.0))
     for t in range(1, ms + 1):

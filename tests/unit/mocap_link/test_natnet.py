@@ -99,10 +99,9 @@ def test_short_and_long_forms_are_read_and_stopped_clocks_and_what_does_not_fit_
             natnet.encode(message)
 
 
-@pytest.mark.parametrize(
-    ("version", "at", "number", "said"),
-    [*(((3, 0), 8, n, "count") for n in (-1, 10_001, 2**31 - 1)), ((4, 1), 28, 37, "size")],
-)
+@pytest.mark.parametrize(("version", "at", "number", "said"), [
+    *(((3, 0), 8, n, "count") for n in (-1, 10_001, 2**31 - 1)), ((4, 1), 28, 37, "size"),
+])  # fmt: skip
 def test_absurd_counts_and_sizes_are_refused(version, at, number, said):
     data = bytearray.fromhex(VECTORS[version])
     data[at : at + 4] = number.to_bytes(4, "little", signed=True)

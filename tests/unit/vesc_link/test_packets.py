@@ -173,11 +173,10 @@ LIMITS = i.McConfTemp(1, 1, -23250, 23250, 0.25, 0.75, -1500, 1500, -20, 40, 4, 
 APPCONF = i.AppConf(0xDEADBEEF, 12, 1000, 8.5, bytes(range(200)))
 
 
-@pytest.mark.parametrize(
-    ("firmware", "size"),
-    [((2, 18), 3), ((3, 40), 22), ((3, 60), 23), ((5, 2), 26), ((5, 3), 29), ((6, 0), 31),
-     ((6, 5), 35), ((7, 1), 35)],
-)  # fmt: skip
+@pytest.mark.parametrize(("firmware", "size"), [
+    ((2, 18), 3), ((3, 40), 22), ((3, 60), 23), ((5, 2), 26), ((5, 3), 29), ((6, 0), 31),
+    ((6, 5), 35), ((7, 1), 35),
+])  # fmt: skip
 def test_version_reply_of_every_firmware(firmware, size):
     reply = make_fw_version(VescConfig(firmware=Firmware(*firmware)), bytes(12))
     payload = encode_reply(reply, Firmware(*firmware))
@@ -214,10 +213,9 @@ def test_angles_and_speeds_with_an_offset_come_back(steer, speed):
     assert s.erpm_to_speed(scaling, s.speed_to_erpm(scaling, speed)) == pytest.approx(speed)
 
 
-@pytest.mark.parametrize(
-    ("convert", "least", "most"),
-    [(s.steer_to_servo_pos, 0.85, 0.15), (s.speed_to_erpm, -23250.0, 23250.0)],
-)
+@pytest.mark.parametrize(("convert", "least", "most"), [
+    (s.steer_to_servo_pos, 0.85, 0.15), (s.speed_to_erpm, -23250.0, 23250.0),
+])  # fmt: skip
 def test_numbers_are_clamped_both_ways_and_what_is_none_never(convert, least, most):
     assert (convert(s.F1TENTH, -1e6), convert(s.F1TENTH, 1e6)) == (least, most)
     for value in (math.nan, math.inf, -math.inf):
@@ -225,11 +223,10 @@ def test_numbers_are_clamped_both_ways_and_what_is_none_never(convert, least, mo
             convert(s.F1TENTH, value)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"erpm_gain": 0.0}, {"servo_gain": 0.0}, {"erpm_gain": math.nan}, {"servo_min": 0.9},
-     {"servo_min": -0.1}, {"servo_max": 1.1}, {"erpm_max": 0.0}, {"erpm_max": math.inf}],
-)  # fmt: skip
+@pytest.mark.parametrize("wrong", [
+    {"erpm_gain": 0.0}, {"servo_gain": 0.0}, {"erpm_gain": math.nan}, {"servo_min": 0.9},
+    {"servo_min": -0.1}, {"servo_max": 1.1}, {"erpm_max": 0.0}, {"erpm_max": math.inf},
+])  # fmt: skip
 def test_unusable_calibration_is_refused(wrong):
     with pytest.raises(ValueError, match=r"must|finite"):
         s.Scaling(**wrong)

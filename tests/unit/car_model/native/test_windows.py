@@ -158,11 +158,9 @@ Vectors of eight numbers take a compiler far longer where registers are short.
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("model", "levels"),
-    [(((), CHASSIS[0]), {"", OWN}), ((EVERY, PLANAR), {OWN})],
-    ids=["plain", "every"],
-)
+@pytest.mark.parametrize(("model", "levels"), [
+    (((), CHASSIS[0]), {"", OWN}), ((EVERY, PLANAR), {OWN}),
+], ids=["plain", "every"])  # fmt: skip
 def test_every_compiler_and_optimisation_gives_the_same_bits(model, levels, tmp_path, monkeypatch):
     expected, label = _digest(*model), model_label(*model)
     for (name, compiler), more, level in product(_compilers(), ("-O1", "-O3"), levels):

@@ -122,15 +122,12 @@ def test_left_is_left_and_forward_is_forward():
     assert (other.steer, other.speed) == (HELD.steer, HELD.speed)
 
 
-@pytest.mark.parametrize(
-    ("value", "span", "name", "share"),
-    [
-        (0, STICK, "x", 0.0), (5, STICK, "x", 0.0), (-5, STICK, "x", 0.0), (100, STICK, "x", 1.0),
-        (-100, STICK, "x", -1.0), (999, STICK, "x", 1.0), (-999, STICK, "x", -1.0),
-        (20, COARSE, "x", 0.0), (60, COARSE, "x", 0.5), (0, TRIGGER, "rz", 0.0),
-        (100, TRIGGER, "rz", 0.5), (300, TRIGGER, "rz", 1.0), (0, gamepad.AxisRange(0, 0), "rz", 0),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("value", "span", "name", "share"), [
+    (0, STICK, "x", 0.0), (5, STICK, "x", 0.0), (-5, STICK, "x", 0.0), (100, STICK, "x", 1.0),
+    (-100, STICK, "x", -1.0), (999, STICK, "x", 1.0), (-999, STICK, "x", -1.0),
+    (20, COARSE, "x", 0.0), (60, COARSE, "x", 0.5), (0, TRIGGER, "rz", 0.0),
+    (100, TRIGGER, "rz", 0.5), (300, TRIGGER, "rz", 1.0), (0, gamepad.AxisRange(0, 0), "rz", 0),
+])  # fmt: skip
 def test_an_axis_is_a_share(value, span, name, share):
     assert gamepad.read_axis(value, span, name) == pytest.approx(share)
 

@@ -226,13 +226,10 @@ def test_whoever_takes_the_lease_over_the_bus_has_to_answer_and_has_time_for_it(
     assert not path.is_silent(False, LIMIT_S, 7052 * MS), "a lease that has run out is W25's"
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"boot_id": 1}, {"lease_id": 7}, {"mono_ns": 500 * MS + 1}, {"mono_ns": -5},
-        b"", b"\0" * 7, b"\xff" * 300,
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("wrong", [
+    {"boot_id": 1}, {"lease_id": 7}, {"mono_ns": 500 * MS + 1}, {"mono_ns": -5},
+    b"", b"\0" * 7, b"\xff" * 300,
+])  # fmt: skip
 def test_garbage_another_runs_heartbeat_or_one_from_the_future_is_none(wrong):
     path = make_path()
     beat = beat_at(path, 500 * MS)

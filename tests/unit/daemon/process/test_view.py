@@ -88,16 +88,13 @@ class Client:
             yield word
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "", "{", "[]", "7", "null", b"\0\xff", "[" * 50_000, '{"op": 5}', '{"op": "subscribe"}',
-        '{"op": "subscribe", "subscriptions": [{"id": {}, "channelId": "x"}]}',
-        '{"op": "unsubscribe", "subscriptionIds": [[]]}',
-        '{"op": "setParameters", "parameters": [{"name": [], "value": 1e999}, 3]}',
-        '{"op": "subscribeParameterUpdates", "parameterNames": 3}',
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("words", [
+    "", "{", "[]", "7", "null", b"\0\xff", "[" * 50_000, '{"op": 5}', '{"op": "subscribe"}',
+    '{"op": "subscribe", "subscriptions": [{"id": {}, "channelId": "x"}]}',
+    '{"op": "unsubscribe", "subscriptionIds": [[]]}',
+    '{"op": "setParameters", "parameters": [{"name": [], "value": 1e999}, 3]}',
+    '{"op": "subscribeParameterUpdates", "parameterNames": 3}',
+])  # fmt: skip
 def test_no_word_of_a_client_ends_its_connection(words):
     asked = '{"op": "getParameters", "parameterNames": ["a", "b"], "id": "1"}'
     client = Client(words, asked, *["{}"] * 9)

@@ -160,13 +160,12 @@ def test_names_that_leave_most_of_a_gap_too_small_to_count_are_not_said():
     assert (told.name, told.causes, told.something_else) == ("unexplained", (), 1.0)
 
 
-@pytest.mark.parametrize(
-    ("name", "values", "told"),
-    [("yaw_inertia", (EFFECTS["yaw_inertia"].parameters[0].high,), True),
-     ("yaw_inertia", (1.5,), False), ("yaw_inertia", EFFECTS["yaw_inertia"].nulls, False),
-     ("lateral_load_transfer", (1.0, EFFECTS["lateral_load_transfer"].parameters[1].high), False),
-     ("lateral_load_transfer", (EFFECTS["lateral_load_transfer"].parameters[0].high, 0.6), True)],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "values", "told"), [
+    ("yaw_inertia", (EFFECTS["yaw_inertia"].parameters[0].high,), True),
+    ("yaw_inertia", (1.5,), False), ("yaw_inertia", EFFECTS["yaw_inertia"].nulls, False),
+    ("lateral_load_transfer", (1.0, EFFECTS["lateral_load_transfer"].parameters[1].high), False),
+    ("lateral_load_transfer", (EFFECTS["lateral_load_transfer"].parameters[0].high, 0.6), True),
+])  # fmt: skip
 def test_a_value_at_its_bound_explains_a_part_at_most(name, values, told):
     """The form of an effect may lie at its bound, its size may not."""
     found = judge_case(LIBRARY, _found(_hypothesis(name, values={name: values})), True)
