@@ -27,9 +27,7 @@ def drive(tmp_path_factory):
     )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def fit(drive):
-    return steerd.identify(drive, free=FREE, held_out=3)
+fit = pytest.fixture(lambda drive: steerd.identify(drive, free=FREE, held_out=3), scope="module")
 
 
 @pytest.fixture(scope="module")
@@ -93,8 +91,6 @@ def test_a_cause_is_named_and_goes_into_the_car(gap):
 
 
 # The stepping environment: the same episode again, its ends, its errors.
-
-
 def follow(observation):
     """A lane keeper of one line."""
     e1, e2, curvature, *_ = observation

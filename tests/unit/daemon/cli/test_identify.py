@@ -20,10 +20,7 @@ pytestmark = pytest.mark.slow
 
 TRUE = DEFAULT_CAR._replace(steer_gain=0.93, speed_lag=0.14, c_sf=4.3)
 
-
-@pytest.fixture(scope="module")
-def rows():
-    return make_noisy_rows(TRUE, 26.0, 0.9)
+rows = pytest.fixture(lambda: make_noisy_rows(TRUE, 26.0, 0.9), scope="module")
 
 
 @pytest.fixture(scope="module")

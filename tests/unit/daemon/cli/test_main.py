@@ -134,7 +134,6 @@ def test_help_shows_the_first_options_with_defaults_and_help_all_the_rest(capsys
 
 
 # The completion scripts; bash's is run as bash runs it.
-
 BASH = shutil.which("bash")
 
 

@@ -23,15 +23,8 @@ OFF_LANE = AT._replace(y=AT.y + 0.4)
 NOW, TICK = 50_000_000_000, 10_000_000
 DESIGN = {"steer_gain": 0.9, "steer_bias": 0.02, "steer_delay": 0.05}
 
-
-@pytest.fixture(scope="module")
-def held():
-    return standard()
-
-
-@pytest.fixture(scope="module")
-def design(held):
-    return design_for(held, **DESIGN)
+held = pytest.fixture(lambda: standard(), scope="module")
+design = pytest.fixture(lambda held: design_for(held, **DESIGN), scope="module")
 
 
 @pytest.fixture(scope="module")
@@ -164,9 +157,7 @@ def test_past_references_fit_the_design(held, design):
 # Proposals at the desk, which checks them piece by piece.
 
 
-@pytest.fixture(scope="module")
-def near(held):
-    return design_for(held, steer_gain=0.98)
+near = pytest.fixture(lambda held: design_for(held, steer_gain=0.98), scope="module")
 
 
 class Bench:

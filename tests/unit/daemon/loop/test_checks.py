@@ -86,7 +86,6 @@ def test_a_car_that_moves_or_may_move_fails(plan, speed, count):
 
 
 # The launch window.
-
 WHEELBASE = 0.33
 
 

@@ -68,7 +68,6 @@ def test_advice_in_simulation_is_about_the_simulation():
 
 
 # W15 over due and wake times: each rule at its edge, and what a car file may tighten.
-
 MS, PERIOD = 1_000_000, 10_000_000
 
 

@@ -77,7 +77,6 @@ def test_diagnostics_have_a_level_and_the_supervisors_values(state, warned, leve
 
 
 # Orders: each motor output with its current, the limiter on every angle, a missing wish brakes.
-
 BRAKES = BrakeSettings()
 LIMITS = Limits(wheelbase=0.33)
 SETTINGS = Mock(limits=LIMITS, brakes=BRAKES, scaling=F1TENTH)
@@ -150,7 +149,6 @@ def test_an_unknown_speed_counts_as_the_highest():
 
 
 # Flags of the runner as findings of its watchdogs.
-
 Flag = fs.Flag
 NAMES = {
     Flag.SERIAL_FAULT: "W8", Flag.GUARDIAN_LOST: "W16", Flag.GUARDIAN_TRIPPED: "W15",

@@ -217,8 +217,6 @@ def test_launch_window_caps_the_speed_until_the_checks_have_passed(before):
 
 
 # The supervisor from RUNNING to a standstill: stops, faults, emergency stops.
-
-
 def test_stop_ramps_at_1_5_then_brakes_softly_and_arms_again():
     car = Car().running(2.0)
     assert car.tick(Fact.STOP) == STOPPING

@@ -256,8 +256,6 @@ def test_a_fence_needs_a_place():
 
 
 # Whether a stop slows the car: judged over lag and window, by each kind of stop (W24).
-
-
 def stop(kind, speeds, dt=S // 16, wheels=0.0, telemetry_age=0.0):
     """Watch a stop; return per tick the W24 findings and whether it is slowing."""
     state, out = wd.WatchdogState(), []
@@ -325,8 +323,6 @@ def test_each_kind_of_stop_is_judged_anew():
 
 
 # What the VESC says of itself: status bits, fault codes, its tachometer (W9 to W12).
-
-
 def test_starved_at_once_after_commands_were_seen_to_arrive():
     state, _ = step(state=SupervisorState.ARMED)
     assert state.commanded

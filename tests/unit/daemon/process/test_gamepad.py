@@ -79,7 +79,6 @@ def test_a_virtual_gamepad_is_read_and_its_end_is_noticed():
 
 
 # What a gamepad's parts mean, and everything that counts as letting go of it.
-
 PADS = PadMap()
 HELD = PadState(held=True, steer=0.5, speed=0.5, heard_ns=0)
 STICK, TRIGGER = gamepad.AxisRange(-100, 100), gamepad.AxisRange(0, 200)
@@ -189,9 +188,7 @@ class Desk:
         return [decode(DriveCommand, s.data) for s in self._driven.poll()]
 
 
-@pytest.fixture
-def desk():
-    return Desk()
+desk = pytest.fixture(lambda: Desk())
 
 
 @pytest.fixture

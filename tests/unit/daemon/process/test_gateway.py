@@ -20,10 +20,7 @@ from tests.local_bus import LocalBus, LocalHub
 POSE_KEY = "lab/pose"
 TICK = encode(m.Tick(m.make_header(1, m.BODY), 1, 2, 3, 4, 0))
 
-
-@pytest.fixture
-def hub():
-    return LocalHub()
+hub = pytest.fixture(lambda: LocalHub())
 
 
 @pytest.fixture
@@ -173,7 +170,6 @@ def test_it_ends_when_the_pipe_closes_after_all_is_published(gateway, hub, ends,
 
 
 # Heartbeats to the bus and back: who must answer, how soon, and what does not count.
-
 BOOT_ID, HOLDER, MS = 815, 42, 1_000_000
 LIMIT_S = 1.0
 

@@ -78,7 +78,6 @@ def test_a_plug_that_flaps_leaves_nothing_behind(pipe):
 
 
 # Who holds the lifeline, and what the other end hears of its death.
-
 HOLDER = """
 import sys, select
 from steerd.daemon.process.heartbeat import HeartbeatPage, Lifeline

@@ -58,9 +58,7 @@ def make_sides():
     return sides
 
 
-@pytest.fixture
-def page():
-    return make_sides()[0]
+page = pytest.fixture(lambda: make_sides()[0])
 
 
 def test_both_sides_see_the_same_words():

@@ -77,7 +77,6 @@ def test_real_time_for_a_while_leaves_nothing_behind():
 
 
 # Who made a tick late is told from the guardian's pause: machine, host, or this program alone.
-
 MS = 1_000_000
 START = 10**12
 

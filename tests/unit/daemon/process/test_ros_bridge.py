@@ -115,8 +115,6 @@ def test_poses_are_listened_for_where_the_address_says(mocap, key):
 
 
 # Standard ROS messages: made from the car's own, at most 50 of each kind per second.
-
-
 def test_odometry_has_the_pose_and_the_velocity_in_the_body_frame():
     moving = {"speed": 2.0, "slip_angle": 0.1, "yaw_rate": 0.5, "yaw_sd": 0.2}
     state = blank(m.StateMessage, x=1.0, y=2.0, yaw=pi / 2, **moving)

@@ -77,9 +77,7 @@ def make_runner(plan, sinks=(), requests=(), **record):
     )
 
 
-@pytest.fixture
-def r(plan):
-    return make_runner(plan)
+r = pytest.fixture(lambda plan: make_runner(plan))
 
 
 def engage(r):

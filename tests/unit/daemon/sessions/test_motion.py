@@ -82,7 +82,6 @@ def test_a_wrong_unit_or_sign_is_named(wrong, part):
 
 
 # The lateral error that pages and lists show: of a settled drive alone.
-
 START_NS = 10**18
 RUNNING = np.array([0, 1, 1, 1, 1, 1, 0, 0, 1, 1, 1, 1], dtype=bool)
 

@@ -169,7 +169,6 @@ def test_the_table_holds_the_curves_and_figures_are_the_same_each_time(tmp_path)
 
 
 # Curves: no peak is lost, no break is bridged, what was packed comes out again.
-
 NUMBERS = st.floats(-1e6, 1e6)
 
 
@@ -220,8 +219,6 @@ def test_a_break_lasts_until_the_next_value():
 
 
 # What is drawn: curves with breaks, settled errors, the lane, what was learnt.
-
-
 def test_a_curve_is_sorted_and_broken_where_samples_are_missing_and_none_without_a_number():
     t = np.array([0.2, 0.0, 0.1, 2.0])
     (curve,) = make_curve("e1", "estimate", t, np.array([3.0, 1.0, 2.0, 4.0]))
@@ -259,7 +256,6 @@ def test_the_lane_is_as_wide_as_the_watchdog_of_the_recorded_car_file_allows(tmp
 
 
 # The learner's panels of the plot page.
-
 NS = 1_000_000_000
 START = 1_700_000_000 * NS
 EMPTY = Model(make_header(START, BODY), 0, -1, -1, 0, 0, nan, *(nan,) * 34, "learning", *("",) * 4)

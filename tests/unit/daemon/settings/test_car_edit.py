@@ -33,7 +33,6 @@ def test_edits_with_an_invalid_result_are_refused(key, value, said):
 
 
 # F1TENTH's `vesc.yaml`: read, written, refused, and through `steerd config`.
-
 YAML = """/**:
   ros__parameters:
     # erpm (electrical rpm) = speed_to_erpm_gain * speed

@@ -79,7 +79,6 @@ def test_a_car_file_replaces_thresholds_and_gates_let_the_noise_of_a_localiser_p
 
 
 # Thresholds: defaults of `docs/reference/safety-requirements.md#s4`, bounds no car file lifts.
-
 SQUARE = ((-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0))
 
 

@@ -113,7 +113,6 @@ def test_the_keys_of_a_watch(operate):
 
 
 # The lease: held while the car needs somebody, and no longer.
-
 KEEPALIVE = int(m.RequestKind.KEEPALIVE)
 HELD = [SupervisorState[name] for name in ("SELF_TEST", "ARMED", "RUNNING", "STOPPING")]
 
@@ -156,8 +155,6 @@ def test_other_keys_take_no_hold_and_lose_none(key):
 
 
 # Keys move the servo and set its centre and stops; the session's servo becomes a new scaling.
-
-
 def after(keys, scaling=F1TENTH):
     servo = Servo(scaling.servo_offset, scaling)
     for key in keys:

@@ -60,8 +60,6 @@ def fine(drive, base):
 
 
 # --- what is free
-
-
 @pytest.mark.parametrize("names", [(name,) for name in SAME] + list(combinations(SAME, 2)))
 def test_nothing_is_free_twice(likelihood, names):
     """A base parameter that is the same quantity as an effect is held while the effect is free."""
@@ -120,8 +118,6 @@ def test_a_base_without_a_limit_is_as_limited(likelihood, name):
 
 
 # --- what is looked at
-
-
 def test_a_start_that_the_base_alone_holds_holds_no_effect_back(late):
     """The windows in which an effect shows are those that the base bends too far."""
     library, _ = late
@@ -135,8 +131,6 @@ def test_a_start_that_the_base_alone_holds_holds_no_effect_back(late):
 
 
 # --- what comes out
-
-
 @pytest.mark.parametrize("case", ["late", "both", "fine"])
 def test_no_hypothesis_is_worse_than_one_nested_in_it(case, request):
     _, found = request.getfixturevalue(case)
@@ -269,8 +263,6 @@ def test_a_search_begins_with_the_base_where_it_was(late):
 
 
 # --- healthy drives as controls
-
-
 def _with_controls(library, *controls):
     """The library of a base whose healthy drives showed these."""
     predictor = library.likelihood.predictor
