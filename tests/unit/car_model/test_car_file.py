@@ -6,14 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from steerd.car_model.car_file import (
-    CarFileError,
-    Learned,
-    default_car_path,
-    load_car,
-    parse_car,
-    update_car,
-)
+from steerd.car_model import car_file
+from steerd.car_model.car_file import CarFileError, Learned, default_car_path, load_car, parse_car
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.params import DEFAULT_CAR, PARAMETERS
 from steerd.car_model.planar import make_planar
@@ -130,11 +124,11 @@ def test_unreadable_files(tmp_path, content, what):
 
 def test_saving_keeps_comments_sections_and_order(tmp_path):
     base = load_car(default_car_path())
-    assert update_car(base.path, base, {}).text == TEXT
+    assert car_file.update_car(base.path, base, {}).text == TEXT
     path = tmp_path / "learned.toml"
     learned = {"c_sf": Learned(5.1, 0.02, "session a")}
     learned["steer_delay.delay"] = Learned(0.03, 0.001, "diagnose")
-    new = update_car(path, base, learned)
+    new = car_file.update_car(path, base, learned)
     path.write_text(new.text, encoding="utf-8")
     assert new == load_car(path)
     assert new.car == DEFAULT_CAR._replace(c_sf=5.1)
@@ -151,7 +145,8 @@ def test_saving_again_replaces_notes_and_effects(tmp_path):
     path = tmp_path / "car.toml"
     path.write_text(TEXT + "[effects.backlash]\nplay = 0.01\n", encoding="utf-8")
     learned = {"lf": Learned(0.16, 0.01, "tape"), "steer_backlash.play": Learned(0.02)}
-    last = update_car(path, update_car(path, load_car(path), learned), {"lf": Learned(0.161)})
+    first = car_file.update_car(path, load_car(path), learned)
+    last = car_file.update_car(path, first, {"lf": Learned(0.161)})
     assert (last.car.lf, last.values) == (0.161, ((1.0, 0.0), (0.02,)))
     assert not last.sd | last.source
     told = tomllib.loads(last.text)["effects"]
@@ -162,9 +157,9 @@ def test_an_update_is_checked_as_a_car_file_is(tmp_path):
     path = tmp_path / "a.toml"
     for name, value in (("lf", 99.0), ("lf", float("nan")), ("lz", 1.0)):
         with pytest.raises(CarFileError):
-            update_car(path, load_car(default_car_path()), {name: Learned(value)})
+            car_file.update_car(path, load_car(default_car_path()), {name: Learned(value)})
     with pytest.raises(ValueError, match="no effect 'nothing'"):
-        update_car(path, load_car(default_car_path()), {"nothing.x": Learned(1.0)})
+        car_file.update_car(path, load_car(default_car_path()), {"nothing.x": Learned(1.0)})
     assert list(tmp_path.iterdir()) == []
 
 
