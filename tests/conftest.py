@@ -21,12 +21,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """`--update-golden` drives golden sessions again; the other bounds what `--reruns` hides."""
     parser.addoption("--update-golden", action="store_true", help="record golden sessions anew")
     parser.addoption(
-        "--first-pass-failures",
-        type=float,
-        default=FIRST_PASS_FAILURES,
-        metavar="SHARE",
+        "--first-pass-failures", type=float, default=FIRST_PASS_FAILURES, metavar="SHARE",
         help="fail if a larger share of the tests failed before a rerun passed",
-    )
+    )  # fmt: skip
 
 
 def count_first_failures(config: pytest.Config) -> tuple[int, int]:

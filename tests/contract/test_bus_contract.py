@@ -157,12 +157,8 @@ def test_a_closed_bus_says_so_and_closes_twice(pair):
     bus = pair[1]
     bus.close()
     bus.close()
-    for call in (
-        lambda: bus.publish(STATE, b""),
-        lambda: bus.subscribe(STATE),
-        lambda: bus.declare_alive("a"),
-        lambda: bus.query("a"),
-    ):
+    for call in (lambda: bus.publish(STATE, b""), lambda: bus.subscribe(STATE),
+                 lambda: bus.declare_alive("a"), lambda: bus.query("a")):  # fmt: skip
         with pytest.raises(BusError, match="closed"):
             call()
 

@@ -248,11 +248,9 @@ def test_the_linkage_maps_servo_to_wheel(name, value, angle, wheel):
 
 
 def test_limits_only_ever_lower():
-    for name, value, field in (
-        ("steer_rate_limit", 2.0, "steer_rate"),
-        ("accel_limit", 3.0, "accel_max"),
-        ("accel_limit", 3.0, "decel_max"),
-    ):
+    for name, value, field in (("steer_rate_limit", 2.0, "steer_rate"),
+                               ("accel_limit", 3.0, "accel_max"),
+                               ("accel_limit", 3.0, "decel_max")):  # fmt: skip
         hook = EFFECTS[name].car
         assert getattr(hook(FLOAT, (value,), CAR, ORIGIN, 0.0), field) == value
         assert getattr(hook(FLOAT, (19.0,), CAR, ORIGIN, 0.0), field) == getattr(CAR, field)

@@ -18,18 +18,13 @@ VALUES = {"steer_delay": (0.03,), "steer_lag": (0.05,), "mass": (1.5, 1.0), "yaw
           "lateral_load_transfer": (0.1, 1.0), "marker_offset": (0.01, 0.0),
           "cornering_stiffness": (1.3,), "accel_limit": (1.5,)}  # fmt: skip
 NAMES = [f"{name}.{p.name}" for name in VALUES for p in EFFECTS[name].parameters]
-LIBRARY = SimpleNamespace(
-    effect=EFFECTS.get,
-    likelihood=SimpleNamespace(
-        predictor=SimpleNamespace(
-            augmented=SimpleNamespace(
-                places=lambda name: [i for i, n in enumerate(NAMES) if n.startswith(f"{name}.")],
-                values=lambda name: EFFECTS[name].nulls,
-            )
-        )
-    ),
-    controls={},
+AUGMENTED = SimpleNamespace(
+    places=lambda name: [i for i, n in enumerate(NAMES) if n.startswith(f"{name}.")],
+    values=lambda name: EFFECTS[name].nulls,
 )
+PREDICTOR = SimpleNamespace(augmented=AUGMENTED)
+LIKELIHOOD = SimpleNamespace(predictor=PREDICTOR)
+LIBRARY = SimpleNamespace(effect=EFFECTS.get, likelihood=LIKELIHOOD, controls={})
 
 
 def _hypothesis(*effects, probability=1.0, size=SMALL, moved=0.0, values=None, spun=0):
@@ -49,9 +44,7 @@ def _hypothesis(*effects, probability=1.0, size=SMALL, moved=0.0, values=None, s
     return Hypothesis(effects, posterior, 0.0, probability)
 
 
-def _found(
-    *hypotheses: Hypothesis, before: float = LARGE, covering: tuple[float, float] = (0.0, 0.0)
-):
+def _found(*hypotheses, before=LARGE, covering=(0.0, 0.0)):
     """Hypotheses, and the base alone with what probability they leave."""
     left = 1.0 - sum(h.probability for h in hypotheses)
     every = [*hypotheses, _hypothesis(probability=left, size=before)]
