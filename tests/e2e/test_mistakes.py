@@ -258,10 +258,9 @@ def test_a_busy_endpoint_is_told_in_a_line(place, steerd):
 
 
 @pytest.mark.slow
-def test_nobody_answers(capsys):
+def test_nobody_answers(cli):
     for command in ("status", "arm", "start", "stop", "disarm", "control"):
-        assert run_cli([command, "--connect", free_endpoint()]) == 6
-        said = capsys.readouterr().err
+        said = cli(command, "--connect", free_endpoint(), code=6).err
         is_clear(said, ["no steerd answers", "steerd run"])
         assert ("run --controller zenoh" in said) == (command == "control"), "what it needs"
 

@@ -11,7 +11,6 @@ from IPython.lib import pretty
 import steerd
 from steerd.car_model.car_file import load_car
 from steerd.daemon.analysis.environment import OBSERVED
-from steerd.daemon.cli.main import run_cli
 
 pytestmark = pytest.mark.slow
 
@@ -35,10 +34,9 @@ def gap(drive):
     return steerd.diagnose(drive, only=ONLY, pairs=False, closed_loop=False)
 
 
-def test_the_command_line_gives_the_same_numbers(drive, fit, capsys):
+def test_the_command_line_gives_the_same_numbers(drive, fit, cli):
     words = ["identify", str(drive.path), "--free", ",".join(FREE), "--held-out", "3"]
-    assert run_cli([*words, "--json", "-"]) == 0
-    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(fit.to_json()))
+    assert json.loads(cli(*words, "--json", "-").out) == json.loads(json.dumps(fit.to_json()))
 
 
 def test_parameters_have_values_errors_and_units(fit):

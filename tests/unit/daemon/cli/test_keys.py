@@ -133,12 +133,10 @@ def test_without_the_library_it_says_where_to_get_it(tmp_path, monkeypatch, caps
     (("--name", "car2"), "are for 'car1', not 'car2'"),
     (("--listen", "tcp/10.0.0.5:7447"), "--lab uses TLS"),
 ])  # fmt: skip
-def test_run_refuses_what_does_not_fit(lab, arguments, said, capsys):
-    assert run_cli(["run", "--sim", "--lab", str(lab / "car1"), *arguments]) == ExitCode.USAGE
-    assert said in capsys.readouterr().err
+def test_run_refuses_what_does_not_fit(lab, arguments, said, cli):
+    assert said in cli("run", "--sim", "--lab", lab / "car1", *arguments, code=ExitCode.USAGE).err
 
 
-def test_dialling_where_nobody_is_names_the_lab(lab, tmp_path, capsys):
+def test_dialling_where_nobody_is_names_the_lab(lab, tmp_path, cli):
     where = ["--connect", "tls/127.0.0.1:9", "--lab", str(lab / "desk")]
-    assert run_cli(["status", *where]) == ExitCode.UNREACHABLE
-    assert "of the same lab" in capsys.readouterr().err
+    assert "of the same lab" in cli("status", *where, code=ExitCode.UNREACHABLE).err

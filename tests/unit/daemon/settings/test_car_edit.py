@@ -62,11 +62,10 @@ def test_an_invalid_yaml_is_refused(text, said):
         read_vesc_yaml(text, F1TENTH)
 
 
-def test_yaml_by_command_line(tmp_path, capsys):
+def test_yaml_by_command_line(tmp_path, cli):
     yaml, car, back = tmp_path / "vesc.yaml", tmp_path / "car.toml", tmp_path / "back.yaml"
     yaml.write_text(YAML)
-    assert run_cli(["config", "--from-vesc-yaml", str(yaml)]) == 0
-    car.write_text(capsys.readouterr().out)
+    car.write_text(cli("config", "--from-vesc-yaml", yaml).out)
     assert "# erpm per m/s" in car.read_text()
     table = tomllib.loads(car.read_text())["vesc"]
     assert all(table[key] == value for (_, key), value in
