@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from steerd.car_model.effects import EFFECTS, parse_effects
-from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.messages import MocapPose
 from steerd.steer_bus.session_read import open_session
 
 ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "examples"
 DATA = ROOT.parent / "shared" / "data"
 DART = "rubber_free__09_16_2024_10_27_02.csv"
 
@@ -23,11 +23,6 @@ def data_file(*parts):
     return path
 
 
-def import_csv(source, map_name, out):
-    the_map = ROOT / "examples" / map_name
-    return run_cli(["import", "csv", str(source), "--map", str(the_map), "-o", str(out)])
-
-
 def read_csv(path):
     return np.genfromtxt(path, delimiter=",", names=True)
 
@@ -35,10 +30,9 @@ def read_csv(path):
 @pytest.mark.parametrize(
     "path", sorted(DATA.glob("dart/*.csv")) or ["absent"], ids=lambda p: Path(p).stem[-20:]
 )
-def test_every_dart_drive_raises_no_warning(tmp_path, capsys, cli, path):
+def test_every_dart_drive_raises_no_warning(tmp_path, cli, path):
     source, out = data_file("dart", Path(path).name), tmp_path / "dart.mcap"
-    assert import_csv(source, "import-dart.toml", out) == 0
-    shown = capsys.readouterr()
+    shown = cli("import", "csv", source, "--map", EXAMPLES / "import-dart.toml", "-o", out)
     assert len(shown.out.splitlines()) < 24
     assert shown.err == ""
     table, document = read_csv(source), json.loads(cli("info", out, "--json").out)
@@ -60,10 +54,10 @@ def test_every_dart_drive_raises_no_warning(tmp_path, capsys, cli, path):
 
 
 @pytest.mark.parametrize(("name", "top_speed"), [("DS1.csv", 4.9), ("DS3.csv", 1.5)])
-def test_the_f1tenth_drives(tmp_path, capsys, cli, name, top_speed):
+def test_the_f1tenth_drives(tmp_path, cli, name, top_speed):
     source, out = data_file("f1tenth_upenn", name), tmp_path / "a.mcap"
-    assert import_csv(source, "import-f1tenth-upenn.toml", out) == 0
-    assert capsys.readouterr().err == ""
+    the_map = EXAMPLES / "import-f1tenth-upenn.toml"
+    assert cli("import", "csv", source, "--map", the_map, "-o", out).err == ""
     table, document = read_csv(source), json.loads(cli("info", out, "--json").out)
     drive = document["drive"]
     assert drive["speed"]["high"] == pytest.approx(top_speed, abs=0.1)

@@ -84,8 +84,8 @@ def test_columns_hold_every_value(drive, cls):
     messages = drive.messages[TOPIC_OF[cls]]
     assert len(columns["log_ns"]) == len(messages)
     for leaf in flat_leaves(cls)[3:]:
-        assert columns[leaf.name].tolist() == [getattr(m, leaf.name) for m in messages]
-    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]
+        assert columns[leaf.name].tolist() == [getattr(each, leaf.name) for each in messages]
+    stamps = [each.header.stamp.sec * 10**9 + each.header.stamp.nanosec for each in messages]
     assert columns["stamp_ns"].tolist() == stamps
 
 
@@ -163,8 +163,8 @@ def test_both_ways_to_columns_give_every_value(tmp_path, cls):
     rng = np.random.default_rng(2)
     same = [drawn(cls, rng) for _ in range(6)]
     if cls is Odometry:
-        same = [dataclasses.replace(m, child_frame_id="base_link") for m in same]
-    same = [dataclasses.replace(m, header=make_header(i, WORLD)) for i, m in enumerate(same)]
+        same = [dataclasses.replace(each, child_frame_id="base_link") for each in same]
+    same = [dataclasses.replace(s, header=make_header(i, WORLD)) for i, s in enumerate(same)]
     odd = dataclasses.replace(same[0], header=make_header(0, "another_frame"))
     for name, messages in (("fast", same), ("slow", [*same, odd])):
         session = recorded(tmp_path / f"{name}.mcap", cls, map(encode, messages))

@@ -92,14 +92,10 @@ def interrupted(*_):
     signal.raise_signal(signal.SIGINT)
 
 
-def test_steering_of_the_wrong_sign_is_a_warning_before_the_fit(
-    rows, tmp_path, monkeypatch, capsys
-):
+def test_steering_of_the_wrong_sign_is_a_warning_before_the_fit(rows, tmp_path, monkeypatch, cli):
     session = import_log(tmp_path, rows * [1.0, 1.0, 1.0, 1.0, -1.0, 1.0])
-    capsys.readouterr()
     monkeypatch.setattr(identification, "learn", interrupted)
-    assert main(["identify", str(session), "--free", "steer_lag"]) == 130
-    error = capsys.readouterr().err
+    error = cli("identify", session, "--free", "steer_lag", code=130).err
     assert "warning: run.mcap:" in error
     assert "left positive" in error
 
@@ -130,25 +126,21 @@ BAD = [(command, kind) for command in NOT_OF for kind in BROKEN if kind not in N
 
 
 @pytest.mark.parametrize(("command", "kind"), BAD)
-def test_bad_content_is_one_line_and_leaves_nothing(command, kind, rows, tmp_path, capsys):
+def test_bad_content_is_one_line_and_leaves_nothing(command, kind, rows, tmp_path, cli):
     spoil, words = BROKEN[kind]
     session = import_log(tmp_path, spoil(rows))
     before = set(tmp_path.iterdir())
-    capsys.readouterr()
-    assert main([command, str(session), *_outputs(tmp_path)]) == 4
-    error = capsys.readouterr().err
+    error = cli(command, session, *_outputs(tmp_path), code=4).err
     assert words in error
     assert error.count("\n") <= 2
     assert set(tmp_path.iterdir()) == before
 
 
-def test_of_a_folder_the_held_out_session_is_not_fitted(rows, tmp_path, capsys):
+def test_of_a_folder_the_held_out_session_is_not_fitted(rows, tmp_path, cli):
     halves = {"one": rows[:1500], "two": rows[1500:]}
     one, two = (import_log(tmp_path, half, name) for name, half in halves.items())
-    capsys.readouterr()
-    base = ["--base", str(default_car_path())]  # another spelling of --car
-    assert main(["identify", str(one), str(two), "--held-out", str(two), *FREE, *base]) == 0
-    screen = capsys.readouterr().out
+    base = ["--base", default_car_path()]  # another spelling of --car
+    screen = cli("identify", one, two, "--held-out", two, *FREE, *base).out
     assert "prediction  of two.mcap" in screen
     assert "two.mcap" not in screen.partition("prediction ")[0]
 
@@ -174,14 +166,13 @@ def test_an_interrupt_leaves_what_is_on_the_screen(session, fitted, tmp_path, mo
     assert "car.posterior.json is missing" in load_car(out / "car.toml").remark
 
 
-def test_an_interrupted_fit_says_that_nothing_is_written(session, tmp_path, monkeypatch, capsys):
-    capsys.readouterr()
+def test_an_interrupted_fit_says_that_nothing_is_written(session, tmp_path, monkeypatch, cli):
     monkeypatch.setattr(identification, "learn", interrupted)
-    assert main(["identify", str(session), "-o", str(tmp_path / "car.toml")]) == 130
-    assert capsys.readouterr().err == "interrupted: nothing is written\n"
+    said = cli("identify", session, "-o", tmp_path / "car.toml", code=130).err
+    assert said == "interrupted: nothing is written\n"
 
 
-def test_a_value_where_no_car_is_spoils_the_car_file_alone(monkeypatch, tmp_path, capsys):
+def test_a_value_where_no_car_is_spoils_the_car_file_alone(monkeypatch, tmp_path, cli):
     def refuse(path):
         raise SteerdError(f"{path}: car.lf: expected a number >= 0.02", "lf = 0.15")
 
@@ -193,9 +184,8 @@ def test_a_value_where_no_car_is_spoils_the_car_file_alone(monkeypatch, tmp_path
     SessionWriter(session, {}, {}).finish({})
     monkeypatch.setattr(identification, "run_identify", lambda *_: found)
     car, page = tmp_path / "car.toml", tmp_path / "page.html"
-    code = main(["identify", str(session), "-o", str(car), "--report", str(page)])
-    said = capsys.readouterr()
-    assert (code, said.out) == (5, "TABLE\n")
+    said = cli("identify", session, "-o", car, "--report", page, code=5)
+    assert said.out == "TABLE\n"
     assert f"{car} is not written: car.lf: expected a number >= 0.02" in said.err
     assert page.read_text() == "<html>"
     assert not car.exists()

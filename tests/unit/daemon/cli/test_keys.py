@@ -90,8 +90,7 @@ def test_people_are_added_and_the_car_s_list_is_new(lab):
     before = files(lab)
     assert keys(lab, "--operator", "ann", "--viewer", "tv") == ExitCode.OK
     after = load_lab(lab / "car1")
-    assert after.operators == ("desk", "tablet", "ann")
-    assert after.viewers == ("screen", "tv")
+    assert (after.operators, after.viewers) == (("desk", "tablet", "ann"), ("screen", "tv"))
     assert load_lab(lab / "ann").operators == after.operators
     changed = {p for p, data in files(lab).items() if before.get(p, data) != data}
     assert {str(p) for p in changed} == {"authority/lab.toml", "car1/lab.toml"}

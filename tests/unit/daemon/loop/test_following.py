@@ -65,8 +65,7 @@ def test_ranges_of_an_identified_car():
     assert m.servo.slew == m.servo.fall == near(1.6, 2.4)
     assert m.servo.delay == near(0.04, 0.06 + LATE_S)
     assert m.gain == near(0.8, 1.2)
-    assert m.left == near(0.32, 0.48)
-    assert m.right == near(-0.36, -0.24)
+    assert (m.left, m.right) == (near(0.32, 0.48), near(-0.36, -0.24))
     together = 0.2 * (sqrt(2.0) - 1.0)
     assert m.base == near(0.4 * (1.0 - together), 0.4 * (1.0 + together))
     assert m.bias == 0.0
@@ -106,8 +105,7 @@ def test_what_was_never_identified_may_be_off_by_a_factor(model):
 
 def test_a_large_standard_error_widens_the_range_and_noise_never_switches_it_off():
     m = make_follow_model(CAR, {**KNOWN, "speed_lag": 0.02, "steer_lag": 0.05}, FilterConfig(), TH)
-    assert m.drive.lag == near(0.14, 0.26)
-    assert m.servo.lag == near(0.0, 0.25)
+    assert (m.drive.lag, m.servo.lag) == (near(0.14, 0.26), near(0.0, 0.25))
     loud = FilterConfig(wheel_speed_sd=10.0, pose_yaw_sd=1.0)
     m = make_follow_model(CAR, KNOWN, loud, TH)
     assert (m.speed_margin, m.turn_margin) == (fm.SPEED_MARGIN_MAX, fm.TURN_MARGIN_MAX)

@@ -60,8 +60,7 @@ def test_a_worker_that_dies_takes_nobody_along(tmp_path):
 
 
 def test_numbers_of_processes():
-    assert Where(3).processes == 3
-    assert Where().processes == len(os.sched_getaffinity(0))
+    assert (Where(3).processes, Where().processes) == (3, len(os.sched_getaffinity(0)))
     with pytest.raises(SteerdError, match="--jobs -1") as caught:
         Where(-1)
     assert caught.value.code is ExitCode.USAGE

@@ -165,8 +165,7 @@ def after(keys, scaling=F1TENTH):
 def test_moves_stay_between_0_and_1():
     assert after("aaA").position == pytest.approx(0.5304 - 0.01 - 0.05)
     assert after(["\x1b[C", "\x1b[D", "d"]).position == pytest.approx(0.5354)
-    assert after("A" * 30).position == 0.0
-    assert after("D" * 30).position == 1.0
+    assert (after("A" * 30).position, after("D" * 30).position) == (0.0, 1.0)
 
 
 def test_centre_and_stops_are_set_where_the_servo_is():
