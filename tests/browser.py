@@ -118,12 +118,9 @@ def browsing() -> Iterator[Browser]:
     profile = tempfile.mkdtemp(prefix="steerd-browser-")
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("LC_", "LANGUAGE"))}
     process = subprocess.Popen(
-        [CHROMIUM, *FLAGS, f"--user-data-dir={profile}", "about:blank"],
-        stderr=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        text=True,
-        env={**environment, "LANG": "C.UTF-8"},
-    )
+        [CHROMIUM, *FLAGS, f"--user-data-dir={profile}", "about:blank"], text=True,
+        stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, env={**environment, "LANG": "C.UTF-8"},
+    )  # fmt: skip
     try:
         assert process.stderr is not None
         said = iter(process.stderr)

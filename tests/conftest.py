@@ -5,6 +5,7 @@
 import resource
 from collections import Counter
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -21,12 +22,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """`--update-golden` drives golden sessions again; the other bounds what `--reruns` hides."""
     parser.addoption("--update-golden", action="store_true", help="record golden sessions anew")
     parser.addoption(
-        "--first-pass-failures",
-        type=float,
-        default=FIRST_PASS_FAILURES,
-        metavar="SHARE",
+        "--first-pass-failures", type=float, default=FIRST_PASS_FAILURES, metavar="SHARE",
         help="fail if a larger share of the tests failed before a rerun passed",
-    )
+    )  # fmt: skip
 
 
 def count_first_failures(config: pytest.Config) -> tuple[int, int]:
@@ -77,6 +75,21 @@ def home_of_sessions(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
         patch.setenv("XDG_DATA_HOME", str(tmp_path_factory.mktemp("data")))
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+    """Type a command that ends with a code, 0 unless another is given: what it says, by stream."""
+    from steerd.daemon.cli.main import run_cli
+
+    def run(*words: object, code: int = 0) -> Any:
+        capsys.readouterr()
+        ended = run_cli([str(word) for word in words])
+        said = capsys.readouterr()
+        assert ended == code, said.err
+        return said
+
+    return run
 
 
 @pytest.fixture

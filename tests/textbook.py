@@ -38,13 +38,11 @@ def steady_slip(car: Car[float], speed: float, curvature: float) -> float:
 
 def noise_densities(config: FilterConfig, speed: float) -> np.ndarray:
     """White noise of each state at a speed, as the filter's settings say it."""
-    return np.array(
-        [
-            *(config.position_density,) * 2, config.yaw_density, config.longitudinal_accel_density,
-            config.yaw_accel_density, config.lateral_accel_density / max(abs(speed), 0.5),
-            config.steer_rate_density,
-        ]
-    )  # fmt: skip
+    return np.array([
+        *(config.position_density,) * 2, config.yaw_density, config.longitudinal_accel_density,
+        config.yaw_accel_density, config.lateral_accel_density / max(abs(speed), 0.5),
+        config.steer_rate_density,
+    ])  # fmt: skip
 
 
 def rates_and_slopes(

@@ -22,13 +22,10 @@ GOALS: dict[str, tuple[tuple[str, ...], int]] = {
     "mocap_link": (("mocap_link",), 2800),
     "sim_hw": (("sim_hw",), 2600),
     "daemon: loop, process, ipc, offline": (
-        tuple(f"daemon/{room}" for room in ("loop", "process", "ipc", "offline")), 7500,
-    ),
+        ("daemon/loop", "daemon/process", "daemon/ipc", "daemon/offline"), 7500),
     "daemon": (("daemon",), 17500),
-    "product": (
-        ("car_model", "controller", "daemon", "estimator", "mocap_link", "sim_gap", "sim_hw",
-         "steer_bus", "steerd", "sysid", "vesc_link"), 45000,
-    ),
+    "product": (("car_model", "controller", "daemon", "estimator", "mocap_link", "sim_gap",
+                 "sim_hw", "steer_bus", "steerd", "sysid", "vesc_link"), 45000),
     "tests": (("tests",), 30000),
 }  # fmt: skip
 """Folders of each room and the most lines of Python that it may have, blanks and comments in."""

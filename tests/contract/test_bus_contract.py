@@ -157,24 +157,19 @@ def test_a_closed_bus_says_so_and_closes_twice(pair):
     bus = pair[1]
     bus.close()
     bus.close()
-    for call in (
-        lambda: bus.publish(STATE, b""),
-        lambda: bus.subscribe(STATE),
-        lambda: bus.declare_alive("a"),
-        lambda: bus.query("a"),
-    ):
+    for call in (lambda: bus.publish(STATE, b""), lambda: bus.subscribe(STATE),
+                 lambda: bus.declare_alive("a"), lambda: bus.query("a")):  # fmt: skip
         with pytest.raises(BusError, match="closed"):
             call()
 
 
-@pytest.mark.parametrize(
-    ("endpoint", "refused"),
-    [("tcp/127.0.0.1:7447", False), ("tcp/localhost:7447", False), ("tcp/[::1]:7447", False),
-     ("tcp/127.9.9.9:1", False), ("tls/10.0.0.5:7447", True), ("quic/10.0.0.5:7447", True),
-     ("unixsock-stream//run/z.sock", False), ("tcp/10.0.0.5:7447", True),
-     ("tcp/0.0.0.0:7447", True), ("tcp/[::]:7447", True), ("udp/host:7447", True),
-     ("tcp/example.org:1", True)],
-)  # fmt: skip
+@pytest.mark.parametrize(("endpoint", "refused"), [
+    ("tcp/127.0.0.1:7447", False), ("tcp/localhost:7447", False), ("tcp/[::1]:7447", False),
+    ("tcp/127.9.9.9:1", False), ("tls/10.0.0.5:7447", True), ("quic/10.0.0.5:7447", True),
+    ("unixsock-stream//run/z.sock", False), ("tcp/10.0.0.5:7447", True),
+    ("tcp/0.0.0.0:7447", True), ("tcp/[::]:7447", True), ("udp/host:7447", True),
+    ("tcp/example.org:1", True),
+])  # fmt: skip
 def test_a_plain_hub_listens_on_loopback_only(endpoint, refused):
     if refused:
         with pytest.raises(BusError, match="insecure-lan"):

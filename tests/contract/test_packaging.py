@@ -13,7 +13,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from steerd.daemon.cli.commands.completion import make_full_parser, make_manual
-from steerd.daemon.cli.main import COMMANDS, run_cli
+from steerd.daemon.cli.main import COMMANDS
 from tests.contract.command_page import PAGE, make_page
 from tests.contract.size import GOALS, ROOT, recorded, sizes
 
@@ -23,12 +23,10 @@ OPTIONS = [
 ]  # fmt: skip
 
 
-def test_launch_file_and_unit_start_the_same_command_line(capsys):
-    assert run_cli(["service", "launch", *OPTIONS]) == 0
-    executable = ET.fromstring(capsys.readouterr().out).find("executable")
-    assert run_cli(["service", "print", *OPTIONS]) == 0
+def test_launch_file_and_unit_start_the_same_command_line(cli):
+    executable = ET.fromstring(cli("service", "launch", *OPTIONS).out).find("executable")
     unit = configparser.ConfigParser(strict=False, interpolation=None)
-    unit.read_string(capsys.readouterr().out)
+    unit.read_string(cli("service", "print", *OPTIONS).out)
     service = unit["Service"]
     command = shlex.split(executable.attrib["cmd"])
     assert command == shlex.split(service["ExecStart"])

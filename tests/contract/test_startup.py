@@ -26,8 +26,7 @@ MISSING = {
     "sim": ("sim --car none.toml",),
     "service": ("service print --car none.toml", "service print --sim-car none.toml",
                 "service print --path csv:none.csv"),
-    "probe": ("probe --car none.toml",),
-    "effects": ("effects --add none.py",),
+    "probe": ("probe --car none.toml",), "effects": ("effects --add none.py",),
     "export": ("export none.toml -o car.xml",),
     "config": ("config --check none.toml", "config --from-vesc-yaml none.yaml"),
     "mocap": ("mocap check none.mcap", "mocap check --car none.toml",
@@ -40,8 +39,7 @@ MISSING = {
                  "diagnose {here} --healthy none.mcap"),
     "replay": ("replay none.mcap",),
     "sessions": ("sessions tag none.mcap wet", "sessions note none.mcap good"),
-    "info": ("info none.mcap",),
-    "plot": ("plot {here} none.mcap",),
+    "info": ("info none.mcap",), "plot": ("plot {here} none.mcap",),
     "recover": ("recover none.mcap",),
     "learn": ("learn none.mcap", "learn {here} --base none.toml"),
     "sweep": ("sweep none.toml",),
@@ -106,11 +104,10 @@ def test_steerd_links_to_every_room_and_to_nothing_else():
         assert path.resolve().is_relative_to(ROOT)
 
 
-@pytest.mark.parametrize(
-    ("module", "heavy"),
-    [("cli.commands.run", {"torch"}), ("loop.core", {"torch", "zenoh", "mcap"}),
-     ("offline.virtual", {"torch"})],
-)  # fmt: skip
+@pytest.mark.parametrize(("module", "heavy"), [
+    ("cli.commands.run", {"torch"}), ("loop.core", {"torch", "zenoh", "mcap"}),
+    ("offline.virtual", {"torch"}),
+])  # fmt: skip
 def test_driving_imports_no_torch_and_the_core_neither_zenoh_nor_mcap(module, heavy):
     code = f"import sys, steerd.daemon.{module}; sys.exit(bool({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False)

@@ -234,11 +234,10 @@ def test_no_such_port_or_one_without_a_descriptor(tmp_path):
             transport.open_port(url, lock_dir=tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("number", "kind", "hint"),
-    [(errno.EACCES, transport.PermissionDenied, "dialout"), (errno.EBUSY, transport.Busy, "fuser"),
-     (errno.EIO, transport.LinkDown, "cable"), (errno.ENOENT, transport.NotFound, "powered")],
-)  # fmt: skip
+@pytest.mark.parametrize(("number", "kind", "hint"), [
+    (errno.EACCES, transport.PermissionDenied, "dialout"), (errno.EBUSY, transport.Busy, "fuser"),
+    (errno.EIO, transport.LinkDown, "cable"), (errno.ENOENT, transport.NotFound, "powered"),
+])  # fmt: skip
 def test_errors_of_open_become_types_with_a_hint(tmp_path, monkeypatch, number, kind, hint):
     def refuse(*_: object, **__: object) -> None:
         raise transport.serial.SerialException(number, "no")

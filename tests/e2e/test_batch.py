@@ -10,8 +10,6 @@ import pytest
 
 import steerd
 from benchmarks.batch_drives import Hidden, make_fleet
-from steerd.daemon.cli.main import run_cli
-from steerd.daemon.common.errors import ExitCode
 from steerd.steer_bus.session_read import open_session
 
 pytestmark = pytest.mark.slow
@@ -57,11 +55,10 @@ def test_the_car_and_the_day_of_a_change_are_found(fleet, tmp_path):
     assert again.encode_table() == out.read_bytes()
 
 
-def test_a_failed_session_is_a_row_and_the_next_start_tries_it_again(drives, tmp_path, capsys):
+def test_a_failed_session_is_a_row_and_the_next_start_tries_it_again(drives, tmp_path, cli):
     out, page = tmp_path / "t.parquet", tmp_path / "t.html"
-    argv = ["batch", "summarise", str(drives), "-o", str(out), "--page", str(page), "--jobs", "1"]
-    assert run_cli(argv) == ExitCode.OK
-    screen = capsys.readouterr().out
+    argv = ["batch", "summarise", drives, "-o", out, "--page", page, "--jobs", 1]
+    screen = cli(*argv).out
     assert "7 of 1 car, 2026-03-01 to" in screen
     assert "junk.mcap is not an MCAP file" in " ".join(screen.split())
     assert max(map(len, screen.splitlines())) <= 80
@@ -72,8 +69,7 @@ def test_a_failed_session_is_a_row_and_the_next_start_tries_it_again(drives, tmp
     assert by_name["circle"]["seconds"] > 1.0
     assert "junk.mcap is not an MCAP file" in page.read_text()
     shutil.copyfile(drives / "circle.mcap", drives / "junk.mcap")
-    assert run_cli(argv) == ExitCode.OK
-    assert "1 worked on now" in capsys.readouterr().out
+    assert "1 worked on now" in cli(*argv).out
     assert polars.read_parquet(out)["outcome"].to_list() == ["done"] * 7
 
 
@@ -117,11 +113,9 @@ def whole(tmp_path_factory):
     return path.read_bytes()
 
 
-def test_a_sweep_is_a_table_and_a_page(file, tmp_path, whole, capsys):
+def test_a_sweep_is_a_table_and_a_page(file, tmp_path, whole, cli):
     out, page = tmp_path / "t.parquet", tmp_path / "t.html"
-    argv = ["sweep", str(file), "-o", str(out), "--page", str(page), "--jobs", "2"]
-    assert run_cli(argv) == ExitCode.OK
-    screen = capsys.readouterr().out
+    screen = cli("sweep", file, "-o", out, "--page", page, "--jobs", 2).out
     assert "4 of 3.6 s" in screen
     assert max(map(len, screen.splitlines())) <= 80
     assert out.read_bytes() == whole, "processes and files give the bytes of the API"
@@ -135,12 +129,11 @@ def test_a_sweep_is_a_table_and_a_page(file, tmp_path, whole, capsys):
     assert not out.with_name("t.parquet.journal").exists()
 
 
-def test_a_drive_of_it_is_driven_again_and_recorded(file, tmp_path, whole, capsys):
+def test_a_drive_of_it_is_driven_again_and_recorded(file, tmp_path, whole, cli):
     (tmp_path / "whole.parquet").write_bytes(whole)
     row = polars.read_parquet(tmp_path / "whole.parquet").row(3, named=True)
     session = tmp_path / "again.mcap"
-    assert run_cli(["sweep", str(file), "--again", "3", "--record", str(session)]) == 0
-    said = capsys.readouterr().out
+    said = cli("sweep", file, "--again", "3", "--record", session).out
     assert f"effect.steer_delay {row['effect.steer_delay']:.4g}" in said
     truth = open_session(session).info().metadata
     assert json.loads(truth["steerd.session"]["options"])["seed"] == row["seed"]
@@ -149,9 +142,7 @@ def test_a_drive_of_it_is_driven_again_and_recorded(file, tmp_path, whole, capsy
     assert drive.duration > 3.6
 
 
-def test_the_example_is_a_sweep_file(tmp_path, capsys):
-    assert run_cli(["sweep", "--example"]) == 0
-    path = tmp_path / "example.toml"
-    path.write_text(capsys.readouterr().out.replace("200", "1").replace("20.0", "0.3"))
-    assert run_cli(["sweep", str(path), "--jobs", "1"]) == 0
-    assert "2 of 0.3 s" in capsys.readouterr().out
+def test_the_example_is_a_sweep_file(tmp_path, cli):
+    path, text = tmp_path / "example.toml", cli("sweep", "--example").out
+    path.write_text(text.replace("200", "1").replace("20.0", "0.3"))
+    assert "2 of 0.3 s" in cli("sweep", path, "--jobs", "1").out

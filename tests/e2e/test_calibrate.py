@@ -5,19 +5,16 @@ import tomllib
 
 import pytest
 
-from steerd.daemon.cli.main import run_cli
-
 TRUTH = (
     "--effect speed_scale=1.05 --effect mocap_latency=0.02 --effect marker_offset=0.03,-0.02 "
     "--effect mocap_yaw=0.04"
 )
 
 
-def test_mocap_calibrate_finds_what_was_injected(drive_fast, tmp_path, capsys):
+def test_mocap_calibrate_finds_what_was_injected(drive_fast, tmp_path, cli):
     drive = drive_fast(f"--path figure8 --speed 1 --duration 25 {TRUTH}").session
     out = tmp_path / "car.toml"
-    assert run_cli(["mocap", "calibrate", str(drive), "-o", str(out)]) == 0
-    shown = capsys.readouterr()
+    shown = cli("mocap", "calibrate", drive, "-o", out)
     assert len(shown.out.splitlines()) < 12
     car = tomllib.loads(out.read_text())
     assert car["mocap"]["mount_yaw_deg"] == pytest.approx(2.292, abs=0.1)
@@ -27,20 +24,17 @@ def test_mocap_calibrate_finds_what_was_injected(drive_fast, tmp_path, capsys):
     assert car["vesc"]["erpm_gain"] == pytest.approx(4614 / 1.05, rel=5e-3)
     assert car["car"]["pose_delay"] == pytest.approx(0.02, abs=6e-3)
     assert "# m, body origin ahead" in out.read_text()
-    assert run_cli(["config", "--check", str(out)]) == 0
-    capsys.readouterr()
-    assert run_cli(["mocap", "check", str(drive)]) == 0
-    assert capsys.readouterr().out.count("pass") == 6
-    assert run_cli(["mocap", "calibrate", str(drive)]) == 0
-    assert "-o car.toml" in capsys.readouterr().out
+    cli("config", "--check", out)
+    assert cli("mocap", "check", drive).out.count("pass") == 6
+    assert "-o car.toml" in cli("mocap", "calibrate", drive).out
 
 
-def test_servo(drive_fast, tmp_path, capsys):
+def test_servo(drive_fast, tmp_path, cli):
     effects = "--effect steer_gain=0.9 --effect steer_bias=0.02"
     session = drive_fast(f"--path figure8 --speed 1 --duration 25 {effects}").session
     out = tmp_path / "car.toml"
-    assert run_cli(["calibrate", "servo", str(session), "-o", str(out)]) == 0
-    found = re.search(r"wheel angle = ([\d.]+) .* command ([+-][\d.]+)°", capsys.readouterr().out)
+    said = cli("calibrate", "servo", session, "-o", out).out
+    found = re.search(r"wheel angle = ([\d.]+) .* command ([+-][\d.]+)°", said)
     assert float(found[1]) == pytest.approx(0.9, rel=0.02)
     assert float(found[2]) == pytest.approx(1.146, abs=0.1)
     car = tomllib.loads(out.read_text())

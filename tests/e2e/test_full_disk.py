@@ -13,12 +13,6 @@ SIM = ("--sim", "--fast", "--duration", "4", "--record")
 HINT = "free some space"
 
 
-def said_of(argv, capsys) -> tuple[int, str]:
-    capsys.readouterr()
-    code = run_cli([str(word) for word in argv])
-    return code, capsys.readouterr().err
-
-
 def is_clear(said: str) -> None:
     lines = said.splitlines()
     assert len(lines) == 2, said
@@ -30,12 +24,11 @@ def is_clear(said: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("command", [("run",), ("collect", "--plan", "circles")])
 @pytest.mark.parametrize("size", [0, 2_000, 40_000, 150_000])
-def test_a_drive_ends_with_one_line(command, size, tmp_path, room_for, capsys):
+def test_a_drive_ends_with_one_line(command, size, tmp_path, room_for, cli):
     path = tmp_path / "drive.mcap"
     room_for(size)
-    code, said = said_of([*command, *SIM, path], capsys)
+    said = cli(*command, *SIM, path, code=3).err
     room_for()
-    assert code == 3
     is_clear(said)
     assert not path.exists()
     partial = path.with_name("drive.mcap.partial")
@@ -43,29 +36,26 @@ def test_a_drive_ends_with_one_line(command, size, tmp_path, room_for, capsys):
         assert not partial.exists(), "it held nothing"
         return
     assert partial.stat().st_size == size
-    assert said_of(["recover", path], capsys)[0] == 0
+    cli("recover", path)
     assert open_session(tmp_path / "drive.recovered.mcap").info().count > 100
 
 
 @pytest.mark.slow
-def test_a_recovery_and_a_page_without_room(tmp_path, room_for, capsys):
+def test_a_recovery_and_a_page_without_room(tmp_path, room_for, cli):
     path = tmp_path / "drive.mcap"
     room_for(100_000)
-    said_of(["run", *SIM, path], capsys)
+    cli("run", *SIM, path, code=3)
     room_for(20_000)
-    code, said = said_of(["recover", path], capsys)
-    assert code == 3
+    said = cli("recover", path, code=3).err
     assert said.splitlines()[-2].endswith("cannot be written: File too large")
     assert HINT in said.splitlines()[-1]
     room_for()
-    assert said_of(["recover", path], capsys)[0] == 0
+    cli("recover", path)
     recovered = tmp_path / "drive.recovered.mcap"
-    code, said = said_of(["info", path], capsys)
-    assert (code, f"steerd recover {path}" in said) == (3, True)
+    assert f"steerd recover {path}" in cli("info", path, code=3).err
     room_for(1_000)
-    code, said = said_of(["plot", recovered, "-o", tmp_path / "drive.html"], capsys)
+    said = cli("plot", recovered, "-o", tmp_path / "drive.html", code=3).err
     room_for()
-    assert code == 3
     assert "drive.html: File too large" in said.splitlines()[-2]
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         "drive.mcap.partial", "drive.recovered.mcap"
@@ -73,17 +63,17 @@ def test_a_recovery_and_a_page_without_room(tmp_path, room_for, capsys):
 
 
 @pytest.mark.parametrize("size", [0, 2_000, 20_000])
-def test_an_import_leaves_nothing_and_promises_nothing(size, tmp_path, room_for, capsys):
+def test_an_import_leaves_nothing_and_promises_nothing(size, tmp_path, room_for, cli):
     rows = [(k / 100, k / 99, 1.0, 0.1, 0.0, 1.0) for k in range(3000)]
     (log, the_map), out = write_log(tmp_path, rows, "log"), tmp_path / "log.mcap"
+    words = ("import", "csv", log, "--map", the_map, "-o", out)
     room_for(size)
-    code, said = said_of(["import", "csv", log, "--map", the_map, "-o", out], capsys)
+    said = cli(*words, code=3).err
     room_for()
-    assert code == 3
     is_clear(said)
     assert "recover" not in said, "nothing is left that could be recovered"
     assert sorted(tmp_path.iterdir()) == [log, the_map]
-    assert said_of(["import", "csv", log, "--map", the_map, "-o", out], capsys)[0] == 0
+    cli(*words)
 
 
 def test_an_output_that_takes_nothing(monkeypatch, capfd):

@@ -48,11 +48,10 @@ ASKED = [
 ]
 
 
-def test_what_is_recorded_is_named_as_a_shell_takes_it(tmp_path, monkeypatch, capsys):
+def test_what_is_recorded_is_named_as_a_shell_takes_it(tmp_path, monkeypatch, cli):
     monkeypatch.chdir(tmp_path)
     words = "collect --plan slalom --duration 2 --sim --fast --record 'a b.mcap'"
-    assert run_cli(shlex.split(words)) == 0
-    assert typed(capsys.readouterr().out) == ["steerd identify 'a b.mcap' -o car.toml"]
+    assert typed(cli(*shlex.split(words)).out) == ["steerd identify 'a b.mcap' -o car.toml"]
 
 
 @pytest.mark.parametrize("asked", ASKED)

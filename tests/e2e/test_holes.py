@@ -82,11 +82,10 @@ def holed(drive, tmp_path_factory):
     return path, *through_a_pipe(drive, path, (FROM, UNTIL))
 
 
-def test_a_recorder_that_keeps_up_says_nothing(drive, tmp_path, capsys):
+def test_a_recorder_that_keeps_up_says_nothing(drive, tmp_path, cli):
     said, dropped = through_a_pipe(drive, tmp_path / "again.mcap", (0.0, 0.0))
     assert (said, dropped, open_session(tmp_path / "again.mcap").holes()) == ("", 0, ())
-    assert run_cli(["info", str(tmp_path / "again.mcap")]) == 0
-    assert capsys.readouterr().err == ""
+    assert cli("info", tmp_path / "again.mcap").err == ""
 
 
 def test_the_recorder_says_how_many_and_where_and_a_drive_is_cut_there(holed):
@@ -105,15 +104,12 @@ def test_the_recorder_says_how_many_and_where_and_a_drive_is_cut_there(holed):
     assert f"{path.name}: {said}" in watch.warnings
 
 
-def test_info_plot_and_catalogue_show_it(holed, capsys):
+def test_info_plot_and_catalogue_show_it(holed, cli):
     path = holed[0]
-    assert run_cli(["info", str(path)]) == 0
-    assert f"warning: {holed[1]}" in capsys.readouterr().err
+    assert f"warning: {holed[1]}" in cli("info", path).err
     assert run_cli(["plot", str(path)]) == 0
     assert "records were dropped within" in path.with_suffix(".html").read_text()
-    capsys.readouterr()
-    assert run_cli(["sessions", "--folder", str(path.parent)]) == 0
-    assert "records dropped within" in capsys.readouterr().out
+    assert "records dropped within" in cli("sessions", "--folder", path.parent).out
 
 
 def test_a_hole_of_a_tick_is_a_pause_too(drive, tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from steerd.car_model.car_file import default_car_path
 from steerd.daemon.analysis.learning import learn_session
 from steerd.daemon.assembly.session_meta import make_metadata
-from steerd.daemon.cli.main import dispatch, run_cli
+from steerd.daemon.cli.main import dispatch
 from steerd.daemon.learning.kept import METADATA
 from steerd.daemon.learning.reported import reported_values
 from steerd.daemon.loop.transitions import SupervisorState
@@ -20,10 +20,9 @@ from tests.e2e.conftest import rms
 pytestmark = pytest.mark.slow
 
 
-def test_the_lane_error_of_an_unknown_car_falls_to_millimetres(tmp_path, capsys):
+def test_the_lane_error_of_an_unknown_car_falls_to_millimetres(tmp_path, cli):
     def go(line):
-        assert run_cli(line.format(folder=tmp_path).split()) == 0
-        return capsys.readouterr().out
+        return cli(*line.format(folder=tmp_path).split()).out
 
     def drive(*more):
         line = "run --sim --fast --sim-car hidden:4 --speed 2 --duration 12 --record"
@@ -48,9 +47,8 @@ def learnt(tmp_path_factory):
     return path
 
 
-def test_a_drive_teaches_the_car(learnt, capsys):
-    assert dispatch(["learn", str(learnt)]) == 0
-    out = capsys.readouterr().out
+def test_a_drive_teaches_the_car(learnt, cli):
+    out = cli("learn", learnt).out
     assert "no change of the car" in out
     bias = re.search(r"steer_bias +([-+.\d]+) ± ([.\d]+) rad", out)
     assert float(bias[1]) == pytest.approx(0.02, abs=max(4.0 * float(bias[2]), 0.001))
@@ -60,14 +58,13 @@ def test_a_drive_teaches_the_car(learnt, capsys):
     assert int(reported[2]) >= 30
 
 
-def test_the_lane_keeper_follows_what_was_learnt_to_its_lane_and_so_does_a_replay(learnt, capsys):
+def test_the_lane_keeper_follows_what_was_learnt_to_its_lane_and_so_does_a_replay(learnt, cli):
     said = [r.decode() for r in open_session(learnt).messages("/steerd/car1/design")]
     assert said[0].text == "the car is being learnt"
     taken = [d for d in said if d.number]
     assert taken[-1].steer_bias == pytest.approx(0.02, abs=0.004)
     assert taken[-1].steer_gain == 1.0, "what is not sure stays the file's"
-    assert dispatch(["replay", str(learnt)]) == 0
-    assert "all equal the recorded ones" in capsys.readouterr().out
+    assert "all equal the recorded ones" in cli("replay", learnt).out
     session = open_session(learnt)
     designs = session.messages("/steerd/car1/design")
     taken_ns = next(r.log_ns for r in designs if r.decode().number)
@@ -78,13 +75,10 @@ def test_the_lane_keeper_follows_what_was_learnt_to_its_lane_and_so_does_a_repla
     assert after < 0.3 * before
 
 
-def test_a_drive_teaches_the_same_again_to_the_byte(learnt, capsys):
-    found = []
-    for _ in range(2):
-        assert dispatch(["learn", str(learnt), "--json"]) == 0
-        found.append(capsys.readouterr().out)
-    assert found[0] == found[1]
-    values = json.loads(found[0])
+def test_a_drive_teaches_the_same_again_to_the_byte(learnt, cli):
+    found, again = (cli("learn", learnt, "--json").out for _ in range(2))
+    assert found == again
+    values = json.loads(found)
     assert values["schema"] == "steerd.learn/1"
     assert values["gap"] == {"verdict": "none", "since_s": None, "causes": [], "changes": []}
     assert values["reports"]["count"] >= 30

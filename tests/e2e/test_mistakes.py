@@ -11,7 +11,6 @@ import pytest
 
 from steerd.car_model.car_file import default_car_path
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.daemon.cli.main import run_cli
 from tests.csv_logs import import_log, make_noisy_rows
 from tests.safety.live import free_endpoint
 
@@ -208,15 +207,13 @@ def content(place: Path) -> list[tuple[Path, int]]:
     *((line, code, parts) for line, code, *parts in TABLE),
     *(pytest.param(line, code, parts, marks=pytest.mark.slow) for line, code, *parts in LEARN),
 ])  # fmt: skip
-def test_a_mistake_is_reported_in_a_line(line, code, parts, full_place, log, capsys, monkeypatch):
+def test_a_mistake_is_reported_in_a_line(line, code, parts, full_place, log, cli, monkeypatch):
     monkeypatch.setenv("MPLCONFIGDIR", str(log))
     for name in ("STATE_DIRECTORY", "XDG_CONFIG_HOME"):
         monkeypatch.setenv(name, str(full_place))
     before = content(full_place)
     places = {"tmp": full_place, "run": full_place / "run.mcap"}
-    got = run_cli([word.format(**places) for word in shlex.split(line)])
-    said = capsys.readouterr()
-    assert got == code, said.err
+    said = cli(*[word.format(**places) for word in shlex.split(line)], code=code)
     is_clear(said.err, parts)
     assert said.out == ""
     assert content(full_place) == before
@@ -258,10 +255,9 @@ def test_a_busy_endpoint_is_told_in_a_line(place, steerd):
 
 
 @pytest.mark.slow
-def test_nobody_answers(capsys):
+def test_nobody_answers(cli):
     for command in ("status", "arm", "start", "stop", "disarm", "control"):
-        assert run_cli([command, "--connect", free_endpoint()]) == 6
-        said = capsys.readouterr().err
+        said = cli(command, "--connect", free_endpoint(), code=6).err
         is_clear(said, ["no steerd answers", "steerd run"])
         assert ("run --controller zenoh" in said) == (command == "control"), "what it needs"
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from steerd.car_model.effects import EFFECTS, parse_effects
-from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.messages import MocapPose
 from steerd.steer_bus.session_read import open_session
 
 ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "examples"
 DATA = ROOT.parent / "shared" / "data"
 DART = "rubber_free__09_16_2024_10_27_02.csv"
 
@@ -23,16 +23,6 @@ def data_file(*parts):
     return path
 
 
-def import_csv(source, map_name, out):
-    the_map = ROOT / "examples" / map_name
-    return run_cli(["import", "csv", str(source), "--map", str(the_map), "-o", str(out)])
-
-
-def info(path, capsys):
-    assert run_cli(["info", str(path), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
 def read_csv(path):
     return np.genfromtxt(path, delimiter=",", names=True)
 
@@ -40,13 +30,12 @@ def read_csv(path):
 @pytest.mark.parametrize(
     "path", sorted(DATA.glob("dart/*.csv")) or ["absent"], ids=lambda p: Path(p).stem[-20:]
 )
-def test_every_dart_drive_raises_no_warning(tmp_path, capsys, path):
+def test_every_dart_drive_raises_no_warning(tmp_path, cli, path):
     source, out = data_file("dart", Path(path).name), tmp_path / "dart.mcap"
-    assert import_csv(source, "import-dart.toml", out) == 0
-    shown = capsys.readouterr()
+    shown = cli("import", "csv", source, "--map", EXAMPLES / "import-dart.toml", "-o", out)
     assert len(shown.out.splitlines()) < 24
     assert shown.err == ""
-    table, document = read_csv(source), info(out, capsys)
+    table, document = read_csv(source), json.loads(cli("info", out, "--json").out)
     names = ("mocap", "actuation", "throttle", "wheel")
     counts = {topic["name"]: topic["count"] for topic in document["topics"]}
     assert counts == {f"/steerd/dart/{name}": len(table) for name in names}
@@ -65,11 +54,11 @@ def test_every_dart_drive_raises_no_warning(tmp_path, capsys, path):
 
 
 @pytest.mark.parametrize(("name", "top_speed"), [("DS1.csv", 4.9), ("DS3.csv", 1.5)])
-def test_the_f1tenth_drives(tmp_path, capsys, name, top_speed):
+def test_the_f1tenth_drives(tmp_path, cli, name, top_speed):
     source, out = data_file("f1tenth_upenn", name), tmp_path / "a.mcap"
-    assert import_csv(source, "import-f1tenth-upenn.toml", out) == 0
-    assert capsys.readouterr().err == ""
-    table, document = read_csv(source), info(out, capsys)
+    the_map = EXAMPLES / "import-f1tenth-upenn.toml"
+    assert cli("import", "csv", source, "--map", the_map, "-o", out).err == ""
+    table, document = read_csv(source), json.loads(cli("info", out, "--json").out)
     drive = document["drive"]
     assert drive["speed"]["high"] == pytest.approx(top_speed, abs=0.1)
     wheel = float(np.sum(np.abs(table["vesc_odom_vx"])[:-1] * np.diff(table["t"])))
@@ -79,28 +68,23 @@ def test_the_f1tenth_drives(tmp_path, capsys, name, top_speed):
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))
-def test_the_example_of_each_effect_can_be_typed(name, capsys):
-    assert run_cli(["effects", name]) == 0
-    example = capsys.readouterr().out.rpartition("--effect ")[2].strip()
+def test_the_example_of_each_effect_can_be_typed(name, cli):
+    example = cli("effects", name).out.rpartition("--effect ")[2].strip()
     ((effect, values),) = parse_effects(example)
     assert effect is EFFECTS[name]
     assert values != effect.nulls
 
 
-def test_all_effects_in_a_table(capsys, monkeypatch):
-    assert run_cli(["effects"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_all_effects_in_a_table(cli, monkeypatch):
+    lines = cli("effects").out.splitlines()
     assert {line.split()[0] for line in lines if line.startswith("  ")} == set(EFFECTS)
     assert all(any(e.equation in line for line in lines) for e in EFFECTS.values())
-    assert run_cli(["effects", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = json.loads(cli("effects", "--json").out)
     assert {effect["name"] for effect in document["effects"]} == set(EFFECTS)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "80")
-    assert run_cli(["effects"]) == 0
-    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
+    assert max(map(len, cli("effects").out.splitlines())) <= 80
 
 
-def test_the_page_of_effects_is_the_library(capsys):
-    assert run_cli(["effects", "--page"]) == 0
-    assert capsys.readouterr().out == (ROOT / "docs" / "reference" / "effects.md").read_text()
+def test_the_page_of_effects_is_the_library(cli):
+    assert cli("effects", "--page").out == (ROOT / "docs" / "reference" / "effects.md").read_text()

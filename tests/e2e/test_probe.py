@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-from steerd.daemon.cli.main import run_cli
 from steerd.daemon.setup.probe_ask import discover
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.sim_hw.plant.faults import Fault
@@ -14,17 +13,17 @@ from steerd.sim_hw.world import WorldConfig
 from steerd.steer_bus.clock import MonotonicClock
 
 
-def probe(capsys, *arguments):
-    code = run_cli(["probe", "--json", *arguments])
-    return code, json.loads(capsys.readouterr().out)
+@pytest.fixture
+def probe(cli):
+    """What the command finds."""
+    return lambda *words, **ends: json.loads(cli("probe", "--json", *words, **ends).out)
 
 
 @pytest.mark.realtime
-def test_sound_hardware_is_described(capsys):
+def test_sound_hardware_is_described(probe):
     with spawn_sim(WorldConfig()) as sim:
-        code, found = probe(capsys, "--port", sim.port, "--mocap", sim.mocap_url)
+        found = probe("--port", sim.port, "--mocap", sim.mocap_url)
         servers = discover(MonotonicClock(), ["127.0.0.1"], parse_mocap_url(sim.mocap_url).port)
-    assert code == 0
     (port,), (source,) = found["serial"], found["mocap"]
     vesc = port["vesc"]
     assert tuple(vesc["firmware"]) == (VescConfig().firmware.major, VescConfig().firmware.minor)
@@ -40,13 +39,11 @@ def test_sound_hardware_is_described(capsys):
     assert "Motive" in servers["127.0.0.1"].name
 
 
-def test_a_dead_port_and_a_silent_server(capsys, tmp_path):
+def test_a_dead_port_and_a_silent_server(probe, tmp_path):
     with spawn_sim(WorldConfig(), (Fault("no_replies"),)) as sim:
-        code, found = probe(capsys, "--port", sim.port)
-    assert code == 3
+        found = probe("--port", sim.port, code=3)
     assert "no VESC answered" in found["serial"][0]["advice"][0]["what"]
-    code, found = probe(capsys, "--port", str(tmp_path / "ttyACM9"), "--mocap",
-                        "natnet://127.0.0.1:9/car", "--seconds", "0.6")  # fmt: skip
-    assert code == 3
+    found = probe("--port", tmp_path / "ttyACM9", "--mocap", "natnet://127.0.0.1:9/car",
+                  "--seconds", 0.6, code=3)  # fmt: skip
     assert "99-vesc.rules" in found["serial"][0]["advice"][0]["fix"]
     assert "firewall" in found["mocap"][0]["advice"][0]["fix"]

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session_read import open_session
 from tests.e2e.conftest import replays, rms
@@ -20,13 +19,12 @@ SLOW_STEERING = "--effect steer_delay=0.03 --effect steer_lag=0.03"
 CAR_FILE = Path(__file__).resolve().parents[2] / "config" / "f1tenth.toml"
 
 
-@pytest.mark.parametrize(
-    ("line", "bound"),
-    [("--path circle:radius=2 --speed 1 --duration 16", 0.0015),
-     ("--path figure8 --speed 1.5 --duration 19", 0.002),
-     ("--path figure8 --speed 1.5 --duration 5 --rate 200", 0.0015),
-     ("--path line --speed 1.5 --duration 6", 0.001)],
-)  # fmt: skip
+@pytest.mark.parametrize(("line", "bound"), [
+    ("--path circle:radius=2 --speed 1 --duration 16", 0.0015),
+    ("--path figure8 --speed 1.5 --duration 19", 0.002),
+    ("--path figure8 --speed 1.5 --duration 5 --rate 200", 0.0015),
+    ("--path line --speed 1.5 --duration 6", 0.001),
+])  # fmt: skip
 def test_the_car_keeps_its_lane_and_replays(drive_fast, capsys, line, bound):
     """The first two go round once after they have settled: 12.6 m, 22.7 m."""
     driven = drive_fast(line)
@@ -63,7 +61,7 @@ def content(session):
     return [(r.topic, r.log_ns, r.publish_ns, r.data) for r in open_session(session).messages()]
 
 
-def test_same_seed_same_bytes_other_seed_other_bytes(drive_fast, tmp_path, capsys):
+def test_same_seed_same_bytes_other_seed_other_bytes(drive_fast, tmp_path, cli):
     line = "--path figure8 --speed 1.5 --duration 1 --seed 7"
     first, second = drive_fast(line), drive_fast(line)
     assert first.wire == second.wire
@@ -71,15 +69,14 @@ def test_same_seed_same_bytes_other_seed_other_bytes(drive_fast, tmp_path, capsy
     assert files[0] == files[1]
     record = tmp_path / "again.mcap"
     argv = ["run", "--sim", "--fast", *line.split(), "--record", str(record)]
-    assert run_cli(argv) == 0
-    assert first.wire[:16] in capsys.readouterr().out
+    assert first.wire[:16] in cli(*argv).out
     assert content(record) == content(first.session)
     other = drive_fast(line.replace("--seed 7", "--seed 8"))
     assert other.wire != first.wire
     assert content(other.session) != content(first.session)
 
 
-def test_a_pose_that_was_moved_in_the_recording_is_found(drive_fast, tmp_path, capsys):
+def test_a_pose_that_was_moved_in_the_recording_is_found(drive_fast, tmp_path, capsys, cli):
     """By 2 mm and 4 mrad: the filter's gate refuses more, and less turns no servo step."""
     driven = drive_fast("--path circle:radius=2 --speed 1 --duration 2")
     assert replays(driven.session, capsys)
@@ -92,8 +89,7 @@ def test_a_pose_that_was_moved_in_the_recording_is_found(drive_fast, tmp_path, c
         return encode(replace(pose, y=pose.y + 0.002, yaw=pose.yaw + 0.004))
 
     tampered = copy_session(driven.session, tmp_path / "tampered.mcap", change=tamper)
-    assert run_cli(["replay", str(tampered)]) == 7
-    said = capsys.readouterr().out
+    said = cli("replay", tampered, code=7).out
     first, last = said.splitlines()[0], said.splitlines()[-1]
     assert re.match(r"tick \d+ .*: recorded SPEED steer .*; replayed SPEED steer ", first)
     assert re.fullmatch(r"\d+ commands replayed: \d+ of them differ", last)

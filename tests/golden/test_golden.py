@@ -71,23 +71,17 @@ def between(name: str, begin_s: float, end_s: float) -> Fault:
 
 
 _BROKEN = (S.RUNNING, S.FAULT_STOP, S.FAULT_LATCHED)
+NOISY = (between("garbage_burst", 2.0, 2.5), between("reply_jitter", 2.5, 2.9),
+         between("reply_loss", 2.9, 9.0))  # fmt: skip
 SCENES = {
     "straight": Scene(drive_options("line", 1.5, 2.5, 1)),
     "circle": Scene(drive_options("circle:radius=2", 1.0, 2.5, 2)),
     "slalom": Scene(drive_options("figure8:radius=1.3", 1.5, 2.6, 3)),
-    "estop": Scene(
-        drive_options("circle:radius=-2", 1.5, 9.0, 4), act=lambda: stop_at(3.0),
-        visits=(S.RUNNING, S.ESTOP), seconds=4.5,
-    ),
-    "mocap_dropout": Scene(
-        drive_options("circle:radius=2", 1.0, 9.0, 5), (between("silence", 3.0, 9.0),),
-        visits=_BROKEN, seconds=4.8,
-    ),
-    "noisy_serial": Scene(
-        drive_options("circle:radius=2", 1.0, 2.0, 6),
-        (between("garbage_burst", 2.0, 2.5), between("reply_jitter", 2.5, 2.9),
-         between("reply_loss", 2.9, 9.0)),
-    ),
+    "estop": Scene(drive_options("circle:radius=-2", 1.5, 9.0, 4), act=lambda: stop_at(3.0),
+                   visits=(S.RUNNING, S.ESTOP), seconds=4.5),
+    "mocap_dropout": Scene(drive_options("circle:radius=2", 1.0, 9.0, 5), visits=_BROKEN,
+                           faults=(between("silence", 3.0, 9.0),), seconds=4.8),
+    "noisy_serial": Scene(drive_options("circle:radius=2", 1.0, 2.0, 6), NOISY),
 }  # fmt: skip
 
 

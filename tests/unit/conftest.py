@@ -57,10 +57,9 @@ def _drive(text: str, seconds: float, rng: np.random.Generator, name: str, wheel
             state, memory = State(*after[:7]), after[7:]
         push = keep * push + np.sqrt(1 - keep**2) * rng.standard_normal(3) * PUSHES
         state = state._replace(
-            speed=state.speed + push[0] * H,
+            speed=state.speed + push[0] * H, yaw_rate=state.yaw_rate + push[2] * H,
             slip_angle=state.slip_angle + push[1] * H / max(state.speed, 0.3),
-            yaw_rate=state.yaw_rate + push[2] * H,
-        )
+        )  # fmt: skip
     path, t = np.array(seen), np.arange(ticks) * H
     pose = np.column_stack([np.interp(t - late.pose, t, path[:, i]) for i in range(3)])
     pose += rng.standard_normal(pose.shape) * POSE_SD

@@ -6,14 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from steerd.car_model.car_file import (
-    CarFileError,
-    Learned,
-    default_car_path,
-    load_car,
-    parse_car,
-    update_car,
-)
+from steerd.car_model import car_file
+from steerd.car_model.car_file import CarFileError, Learned, default_car_path, load_car, parse_car
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.params import DEFAULT_CAR, PARAMETERS
 from steerd.car_model.planar import make_planar
@@ -82,32 +76,31 @@ def test_every_parameter_must_be_there_within_bounds(parameter):
         assert getattr(parse_car(edited(f"{p.name} ", f"{p.name} = {ok}"), HERE).car, p.name) == ok
 
 
-@pytest.mark.parametrize(
-    ("text", "where", "what"),
-    [("", "[car]", "is missing"), ("[vesc]\nerpm_gain = 1\n", "[car]", "is missing"),
-     ("[car]\n", "car.lf", "is missing"), ("car = 3\n", "car", "is not a section"),
-     ("x = 3\n" + TEXT, "x", "is not a section"), ("[[car]]\n", "car", "is not a section"),
-     ("[car\n", "line 1", "Expected"), (TEXT + "[car]\n", "line", "Cannot declare"),
-     (edited("lf ", "lf = true"), "car.lf", "expected a number, got true/false"),
-     (edited("lf ", "lf = 'wide'"), "car.lf", "expected a number, got text"),
-     (edited("lf ", "lf = []"), "car.lf", "expected a number"),
-     (edited("lf ", "lf = 1979-05-27"), "car.lf", "expected a number"),
-     (edited("lf ", "lf = " + "9" * 400), "car.lf", ""),
-     (edited("lf ", "lf = 0.1\nlz = 0.1"), "car.lz", "is not known"),
-     (edited("name ", "name = 3"), "car.name", "expected text"),
-     (edited("chassis ", "chassis = 2"), "car.chassis", "expected text"),
-     (edited("chassis ", 'chassis = "bicycle"'), "car.chassis", "no chassis 'bicycle'"),
-     (TEXT.replace('drive = "all"', 'drive = "left"', 1), "car.chassis", "drive is 'left'"),
-     (TEXT + "[car.sd]\nlz = 1\n", "car.sd", "no parameter 'lz'"),
-     (TEXT + "[car.sd]\nlf = -1\n", "car.sd", "expected a number >= 0"),
-     (TEXT + "[effects]\nx = 1\n", "effects.x", "no effect 'x'"),
-     (TEXT + "[effects]\nmass = 1\n", "effects.mass", "expected a table"),
-     (TEXT + "[effects.mass]\npayload = 99\n", "effects.mass.payload", "expected a number <= 5"),
-     (TEXT + "[effects.mass]\nload = 1\n", "effects.mass.load", "is not known"),
-     (TEXT + "[effects.mass]\n[effects.payload]\n", "effects.mass", "is given twice"),
-     (TEXT + "[effects.mass.sd]\nload = 1\n", "effects.mass.sd", "no parameter"),
-     (TEXT + "\nx = " + "[" * 50_000, "", "nested too deeply"), ("\0", "line 1", "")],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "where", "what"), [
+    ("", "[car]", "is missing"), ("[vesc]\nerpm_gain = 1\n", "[car]", "is missing"),
+    ("[car]\n", "car.lf", "is missing"), ("car = 3\n", "car", "is not a section"),
+    ("x = 3\n" + TEXT, "x", "is not a section"), ("[[car]]\n", "car", "is not a section"),
+    ("[car\n", "line 1", "Expected"), (TEXT + "[car]\n", "line", "Cannot declare"),
+    (edited("lf ", "lf = true"), "car.lf", "expected a number, got true/false"),
+    (edited("lf ", "lf = 'wide'"), "car.lf", "expected a number, got text"),
+    (edited("lf ", "lf = []"), "car.lf", "expected a number"),
+    (edited("lf ", "lf = 1979-05-27"), "car.lf", "expected a number"),
+    (edited("lf ", "lf = " + "9" * 400), "car.lf", ""),
+    (edited("lf ", "lf = 0.1\nlz = 0.1"), "car.lz", "is not known"),
+    (edited("name ", "name = 3"), "car.name", "expected text"),
+    (edited("chassis ", "chassis = 2"), "car.chassis", "expected text"),
+    (edited("chassis ", 'chassis = "bicycle"'), "car.chassis", "no chassis 'bicycle'"),
+    (TEXT.replace('drive = "all"', 'drive = "left"', 1), "car.chassis", "drive is 'left'"),
+    (TEXT + "[car.sd]\nlz = 1\n", "car.sd", "no parameter 'lz'"),
+    (TEXT + "[car.sd]\nlf = -1\n", "car.sd", "expected a number >= 0"),
+    (TEXT + "[effects]\nx = 1\n", "effects.x", "no effect 'x'"),
+    (TEXT + "[effects]\nmass = 1\n", "effects.mass", "expected a table"),
+    (TEXT + "[effects.mass]\npayload = 99\n", "effects.mass.payload", "expected a number <= 5"),
+    (TEXT + "[effects.mass]\nload = 1\n", "effects.mass.load", "is not known"),
+    (TEXT + "[effects.mass]\n[effects.payload]\n", "effects.mass", "is given twice"),
+    (TEXT + "[effects.mass.sd]\nload = 1\n", "effects.mass.sd", "no parameter"),
+    (TEXT + "\nx = " + "[" * 50_000, "", "nested too deeply"), ("\0", "line 1", ""),
+])  # fmt: skip
 def test_a_wrong_file_is_refused_with_place_and_reason(text, where, what):
     found = error(text)
     assert where in found.where
@@ -131,11 +124,11 @@ def test_unreadable_files(tmp_path, content, what):
 
 def test_saving_keeps_comments_sections_and_order(tmp_path):
     base = load_car(default_car_path())
-    assert update_car(base.path, base, {}).text == TEXT
+    assert car_file.update_car(base.path, base, {}).text == TEXT
     path = tmp_path / "learned.toml"
     learned = {"c_sf": Learned(5.1, 0.02, "session a")}
     learned["steer_delay.delay"] = Learned(0.03, 0.001, "diagnose")
-    new = update_car(path, base, learned)
+    new = car_file.update_car(path, base, learned)
     path.write_text(new.text, encoding="utf-8")
     assert new == load_car(path)
     assert new.car == DEFAULT_CAR._replace(c_sf=5.1)
@@ -152,7 +145,8 @@ def test_saving_again_replaces_notes_and_effects(tmp_path):
     path = tmp_path / "car.toml"
     path.write_text(TEXT + "[effects.backlash]\nplay = 0.01\n", encoding="utf-8")
     learned = {"lf": Learned(0.16, 0.01, "tape"), "steer_backlash.play": Learned(0.02)}
-    last = update_car(path, update_car(path, load_car(path), learned), {"lf": Learned(0.161)})
+    first = car_file.update_car(path, load_car(path), learned)
+    last = car_file.update_car(path, first, {"lf": Learned(0.161)})
     assert (last.car.lf, last.values) == (0.161, ((1.0, 0.0), (0.02,)))
     assert not last.sd | last.source
     told = tomllib.loads(last.text)["effects"]
@@ -163,9 +157,9 @@ def test_an_update_is_checked_as_a_car_file_is(tmp_path):
     path = tmp_path / "a.toml"
     for name, value in (("lf", 99.0), ("lf", float("nan")), ("lz", 1.0)):
         with pytest.raises(CarFileError):
-            update_car(path, load_car(default_car_path()), {name: Learned(value)})
+            car_file.update_car(path, load_car(default_car_path()), {name: Learned(value)})
     with pytest.raises(ValueError, match="no effect 'nothing'"):
-        update_car(path, load_car(default_car_path()), {"nothing.x": Learned(1.0)})
+        car_file.update_car(path, load_car(default_car_path()), {"nothing.x": Learned(1.0)})
     assert list(tmp_path.iterdir()) == []
 
 

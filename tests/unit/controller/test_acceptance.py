@@ -20,11 +20,10 @@ def refusal(held, at, design):
     return refused
 
 
-@pytest.mark.parametrize(
-    "changed",
-    [NEAR, {"steer_lag": 0.058}, {"speed_gain": 0.985}, {"c_sf": 4.4, "c_sr": 5.7},
-     {"body_yaw": 0.006, "body_forward": -0.007}],
-)  # fmt: skip
+@pytest.mark.parametrize("changed", [
+    NEAR, {"steer_lag": 0.058}, {"speed_gain": 0.985}, {"c_sf": 4.4, "c_sr": 5.7},
+    {"body_yaw": 0.006, "body_forward": -0.007},
+])  # fmt: skip
 def test_a_design_for_a_car_nearby_is_taken(held, changed):
     taken = accept(held, numbers(held), design_for(held, **changed))
     assert isinstance(taken, LaneController), taken
@@ -35,12 +34,11 @@ def test_a_design_for_a_car_nearby_is_taken(held, changed):
     assert taken.profile == held.file.profile, "no speed is the learner's"
 
 
-@pytest.mark.parametrize(
-    ("changed", "why"),
-    [({"steer_gain": 0.9}, "too far"), ({"steer_bias": 0.02}, "too far"),
-     ({"steer_gain": nan}, "not within"), ({"speed_gain": inf}, "not within"),
-     ({"steer_delay": -0.01}, "not within"), ({"body_left": -0.2}, "not within")],
-)  # fmt: skip
+@pytest.mark.parametrize(("changed", "why"), [
+    ({"steer_gain": 0.9}, "too far"), ({"steer_bias": 0.02}, "too far"),
+    ({"steer_gain": nan}, "not within"), ({"speed_gain": inf}, "not within"),
+    ({"steer_delay": -0.01}, "not within"), ({"body_left": -0.2}, "not within"),
+])  # fmt: skip
 def test_numbers_out_of_reach_are_refused(held, changed, why):
     design = design_for(held)._replace(car=numbers(held, **changed))
     refused = refusal(held, numbers(held), design)

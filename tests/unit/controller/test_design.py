@@ -130,21 +130,20 @@ def test_a_whole_table():
     assert not config.file_speeds
 
 
-@pytest.mark.parametrize(
-    ("table", "said"),
-    [({"desing": "lqr"}, "did you mean design"), ({"xyz": 1}, "known are"),
-     ({"design": "mpc"}, "use lqr or pole_placement"), ({"design": 3}, "must be a str"),
-     ({"file_speeds": 1}, "must be a bool"), ({"speed": "fast"}, "must be a number"),
-     ({"speed": True}, "must be a number"), ({"speed": 0.0}, "must be positive"),
-     ({"speed": float("nan")}, "must be positive"), ({"speed": 300}, "above"),
-     ({"damping_min": 1.0}, "damping_min"), ({"grid_spacing": 1e-9}, "grid_spacing"),
-     ({"weights": {"e2_rat": 1.0}}, "did you mean e2_rate"), ({"weights": 4}, "must be a table"),
-     ({"weights": {"effort": 0.0}}, "must be positive"), ({"weights": {"e2": -1.0}}, "weights.e2"),
-     ({"poles": "-2"}, "must be a list"), ({"poles": ["-2", "-3"]}, "four states"),
-     ({"poles": ["-2", "-3", "-4", "x"]}, "is no pole"),
-     ({"poles": [-2, -3, -4, 5]}, "negative real part"),
-     ({"poles": ["-2+2j", "-2", "-3", "-4"]}, "conjugate pairs")],
-)  # fmt: skip
+@pytest.mark.parametrize(("table", "said"), [
+    ({"desing": "lqr"}, "did you mean design"), ({"xyz": 1}, "known are"),
+    ({"design": "mpc"}, "use lqr or pole_placement"), ({"design": 3}, "must be a str"),
+    ({"file_speeds": 1}, "must be a bool"), ({"speed": "fast"}, "must be a number"),
+    ({"speed": True}, "must be a number"), ({"speed": 0.0}, "must be positive"),
+    ({"speed": float("nan")}, "must be positive"), ({"speed": 300}, "above"),
+    ({"damping_min": 1.0}, "damping_min"), ({"grid_spacing": 1e-9}, "grid_spacing"),
+    ({"weights": {"e2_rat": 1.0}}, "did you mean e2_rate"), ({"weights": 4}, "must be a table"),
+    ({"weights": {"effort": 0.0}}, "must be positive"), ({"weights": {"e2": -1.0}}, "weights.e2"),
+    ({"poles": "-2"}, "must be a list"), ({"poles": ["-2", "-3"]}, "four states"),
+    ({"poles": ["-2", "-3", "-4", "x"]}, "is no pole"),
+    ({"poles": [-2, -3, -4, 5]}, "negative real part"),
+    ({"poles": ["-2+2j", "-2", "-3", "-4"]}, "conjugate pairs"),
+])  # fmt: skip
 def test_a_wrong_setting_is_named_with_its_problem(table, said):
     with pytest.raises(ValueError, match=said):
         load_controller_config(table)
@@ -157,10 +156,9 @@ PAPER = ControllerConfig(design="pole_placement")
 CIRCLE = parse_path("circle:radius=2")
 
 
-@pytest.mark.parametrize(
-    ("rate_hz", "ticks", "radius"),
-    [(100.0, 0, 0.98), (100.0, 1, 1.18), (200.0, 1, 0.99), (50.0, 0, 1.86)],
-)
+@pytest.mark.parametrize(("rate_hz", "ticks", "radius"), [
+    (100.0, 0, 0.98), (100.0, 1, 1.18), (200.0, 1, 0.99), (50.0, 0, 1.86),
+])  # fmt: skip
 def test_the_papers_poles_at_real_rates(rate_hz, ticks, radius):
     row = pack_gains(pole_placement_gains(BARE, 1.0, PAPER_POLES), chained=False)
     closed = design.closed_loop(BARE, row, 0, 1.0, Timing(rate_hz, ticks / rate_hz, 0.0))
@@ -189,25 +187,21 @@ def by_poles(*poles, **more):
     return ControllerConfig(design="pole_placement", poles=poles, **more)
 
 
-@pytest.mark.parametrize(
-    ("car", "path", "config", "rate_hz", "said"),
-    [
-        (BARE._replace(steer_delay=0.01), CIRCLE, PAPER, 100.0,
-         ("1.00 m/s", "100 Hz", "10.0 ms dead time", "1.18", "design = 'lqr' (passes)")),
-        (BARE, CIRCLE, PAPER, 50.0, ("100 Hz (passes)", "speed = 0.68 (passes)")),
-        (BARE, CIRCLE, by_poles(-1 + 15j, -1 - 15j, -52.6, -93.6, grid_speed_min=1.0), 100.0,
-         ("has damping 0.0",)),
-        (DEFAULT_CAR, CIRCLE, by_poles(-2 + 2j, -2 - 2j, -60, -40), 100.0,
-         ('poles = ["-2-2j", "-2+2j", "-52',)),
-        (PAPER_CAR, CIRCLE, by_poles(-2, -2, -2, -2), 100.0, ("pole_placement at ",)),
-        (DEFAULT_CAR, parse_path("circle:radius=-0.8"), ControllerConfig(), 100.0,
-         ("radius 0.80 m", "wheel angle of -0.4")),
-        *((DEFAULT_CAR._replace(steer_delay=delay), CIRCLE, ControllerConfig(), rate_hz, ("rate",))
-          for rate_hz, delay in ((0.0, 0.0), (100.0, -0.1), (100.0, 3.0))),
-    ],
-    ids=["a tick of delay", "half the rate", "ill damped", "poles between", "poles that cannot be",
-         "too tight a path", "no rate", "negative delay", "seconds of delay"],
-)  # fmt: skip
+@pytest.mark.parametrize(("car", "path", "config", "rate_hz", "said"), [
+    (BARE._replace(steer_delay=0.01), CIRCLE, PAPER, 100.0,
+     ("1.00 m/s", "100 Hz", "10.0 ms dead time", "1.18", "design = 'lqr' (passes)")),
+    (BARE, CIRCLE, PAPER, 50.0, ("100 Hz (passes)", "speed = 0.68 (passes)")),
+    (BARE, CIRCLE, by_poles(-1 + 15j, -1 - 15j, -52.6, -93.6, grid_speed_min=1.0), 100.0,
+     ("has damping 0.0",)),
+    (DEFAULT_CAR, CIRCLE, by_poles(-2 + 2j, -2 - 2j, -60, -40), 100.0,
+     ('poles = ["-2-2j", "-2+2j", "-52',)),
+    (PAPER_CAR, CIRCLE, by_poles(-2, -2, -2, -2), 100.0, ("pole_placement at ",)),
+    (DEFAULT_CAR, parse_path("circle:radius=-0.8"), ControllerConfig(), 100.0,
+     ("radius 0.80 m", "wheel angle of -0.4")),
+    *((DEFAULT_CAR._replace(steer_delay=delay), CIRCLE, ControllerConfig(), rate_hz, ("rate",))
+      for rate_hz, delay in ((0.0, 0.0), (100.0, -0.1), (100.0, 3.0))),
+], ids=["a tick of delay", "half the rate", "ill damped", "poles between", "poles that cannot be",
+        "too tight a path", "no rate", "negative delay", "seconds of delay"])  # fmt: skip
 def test_a_refusal_says_why_and_what_would_pass(car, path, config, rate_hz, said):
     with pytest.raises(ValueError, match=re.escape(said[0])) as refused:
         make_controller(car, path, config, rate_hz)

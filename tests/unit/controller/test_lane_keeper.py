@@ -16,6 +16,7 @@ from steerd.car_model.path.path import Path, Projection, interpolate, project
 from steerd.car_model.path.path_spec import parse_path
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import ORIGIN, Command, State
+from steerd.controller import live
 from steerd.controller.build import make_controller
 from steerd.controller.config import ControllerConfig
 from steerd.controller.design import assess, find_faults
@@ -23,18 +24,7 @@ from steerd.controller.gain_table import N_LANE, N_TURNING, Turning
 from steerd.controller.lane_controller import control, start_controller, to_command
 from steerd.controller.lane_keeper import LaneErrors, LaneKeeper, lane_errors, step
 from steerd.controller.learnt import KEPT_NS, Servo, order_servo, step_servo
-from steerd.controller.live import (
-    AS_DESIGNED,
-    GAIN_LEAST,
-    GAIN_MOST,
-    LiveValues,
-    approach,
-    find_gain_bounds,
-    limit_target,
-    make_live_bounds,
-    shift_curvature,
-    shift_lane,
-)
+from steerd.controller.live import AS_DESIGNED, LiveValues, approach, limit_target
 from steerd.controller.speed import SpeedProfile, make_speed_profile, profile_speed, step_speed
 
 LINE = parse_path("line:length=10")
@@ -137,12 +127,10 @@ MS = 1_000_000
 CAR = DEFAULT_CAR._replace(steer_gain=0.9, steer_bias=0.01, steer_lag=0.05)
 
 
-@pytest.mark.parametrize(
-    ("ms", "order", "wheel", "rel"),
-    [(29, 0.2, 0.01, 1e-6), (79, 0.2, 0.01 + 0.18 * (1.0 - exp(-1.0)), 1e-2),
-     (500, 0.2, 0.9 * 0.2 + 0.01, 1e-3), (800, 1.0, CAR.steer_max, 1e-3)],
-    ids=["dead time", "lag", "settled", "end stop"],
-)  # fmt: skip
+@pytest.mark.parametrize(("ms", "order", "wheel", "rel"), [
+    (29, 0.2, 0.01, 1e-6), (79, 0.2, 0.01 + 0.18 * (1.0 - exp(-1.0)), 1e-2),
+    (500, 0.2, 0.9 * 0.2 + 0.01, 1e-3), (800, 1.0, CAR.steer_max, 1e-3),
+], ids=["dead time", "lag", "settled", "end stop"])  # fmt: skip
 def test_where_the_wheel_is(ms, order, wheel, rel):
     servo = order_servo(Servo(t_ns=0, wheel=0.01), 0, Command(order, 1.0))
     for t in range(1, ms + 1):
@@ -270,7 +258,7 @@ AT = State(2.1, 0.3, 1.8, 0.9, 0.4, 0.01, 0.15)
 
 def bounds_of(made, offset_max=0.15):
     path, timing = made.keeper.path, made.report.timing
-    return make_live_bounds(made.car, path, made.config, made.table, timing, offset_max)
+    return live.make_live_bounds(made.car, path, made.config, made.table, timing, offset_max)
 
 
 def tick(made, live, **more):
@@ -284,8 +272,8 @@ def test_the_designs_own_share_changes_no_bit_and_lies_within_bounds_that_pass_i
     assert tick(made, AS_DESIGNED) == plain
     assert tick(made, bounds_of(made).start) == plain
     timing, damping = made.report.timing, made.config.damping_min
-    low, high = find_gain_bounds(made.car, made.table, timing, damping)
-    assert GAIN_LEAST <= low <= 1.0 <= high <= GAIN_MOST
+    low, high = live.find_gain_bounds(made.car, made.table, timing, damping)
+    assert live.GAIN_LEAST <= low <= 1.0 <= high <= live.GAIN_MOST
     for share in (low, high):
         rows = ((*(share * v for v in r[:-N_TURNING]), *r[-N_TURNING:]) for r in made.table.rows)
         scaled = made.table._replace(rows=tuple(rows))
@@ -295,11 +283,11 @@ def test_the_designs_own_share_changes_no_bit_and_lies_within_bounds_that_pass_i
 def test_a_loop_with_little_margin_grants_less_and_none_grants_nothing():
     made = make(3.0)
     late = made.report.timing._replace(delay_s=made.report.timing.delay_s + 0.1)
-    wide = find_gain_bounds(made.car, made.table, made.report.timing, 0.1)
+    wide = live.find_gain_bounds(made.car, made.table, made.report.timing, 0.1)
     assert wide[1] - wide[0] > 0.5
-    narrow = find_gain_bounds(made.car, made.table, late, 0.1)
+    narrow = live.find_gain_bounds(made.car, made.table, late, 0.1)
     assert narrow[1] < wide[1]
-    assert find_gain_bounds(made.car, made.table, made.report.timing, 0.999) == (1.0, 1.0)
+    assert live.find_gain_bounds(made.car, made.table, made.report.timing, 0.999) == (1.0, 1.0)
 
 
 def test_a_lane_that_the_car_cannot_turn_is_not_granted():
@@ -309,12 +297,12 @@ def test_a_lane_that_the_car_cannot_turn_is_not_granted():
     assert tight.low.offset == pytest.approx(-0.5), "outwards the turn is wider"
     assert 0.0 < tight.high.offset < 0.45
     wheel = max(row[-N_TURNING] for row in make(0.8).table.rows)
-    turned = wheel * shift_curvature(1 / 1.35, tight.high.offset)
+    turned = wheel * live.shift_curvature(1 / 1.35, tight.high.offset)
     assert turned <= DEFAULT_CAR.steer_max
 
 
 def test_a_shifted_circle_is_the_one_beside_it_where_lateral_acceleration_stays():
-    at = shift_lane(project(CIRCLE, 1.9, 0.0, 0), 0.1)
+    at = live.shift_lane(project(CIRCLE, 1.9, 0.0, 0), 0.1)
     beside = parse_path("circle:radius=1.9")
     own = project(beside, 1.9 * beside.x[0] / 1.9, 0.0, 0)
     assert at.curvature == pytest.approx(own.curvature, rel=1e-6)

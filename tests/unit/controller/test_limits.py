@@ -29,16 +29,14 @@ def pass_gate(steer, speed, last=(0.0, 0.0), v=0.0, cap=inf, dt_ns=STEP_NS, limi
     return lim.limit_order(limits, state, Command(steer, speed), v, cap, dt_ns)
 
 
-@pytest.mark.parametrize(
-    ("axis", "bound", "side", "last", "cap"),
-    [("steer", 0.375, 1, (0.375, 0.0), inf), ("steer", -0.25, -1, (-0.25, 0.0), inf),
-     ("steer", STEER_STEP, 1, (0.0, 0.0), inf), ("steer", -STEER_STEP, -1, (0.0, 0.0), inf),
-     ("speed", 1.0 + ACCEL_STEP, 1, (0.0, 1.0), inf),
-     ("speed", 1.0 - DECEL_STEP, -1, (0.0, 1.0), inf), ("speed", 3.0, 1, (0.0, 3.0), inf),
-     ("speed", 0.0, -1, (0.0, 0.0), inf), ("speed", 0.5, 1, (0.0, 0.5), 0.5)],
-    ids=["left", "right is its own", "rate to the left", "rate to the right", "acceleration",
-         "deceleration has its own", "top speed", "no reverse", "the supervisor's cap"],
-)  # fmt: skip
+@pytest.mark.parametrize(("axis", "bound", "side", "last", "cap"), [
+    ("steer", 0.375, 1, (0.375, 0.0), inf), ("steer", -0.25, -1, (-0.25, 0.0), inf),
+    ("steer", STEER_STEP, 1, (0.0, 0.0), inf), ("steer", -STEER_STEP, -1, (0.0, 0.0), inf),
+    ("speed", 1.0 + ACCEL_STEP, 1, (0.0, 1.0), inf),
+    ("speed", 1.0 - DECEL_STEP, -1, (0.0, 1.0), inf), ("speed", 3.0, 1, (0.0, 3.0), inf),
+    ("speed", 0.0, -1, (0.0, 0.0), inf), ("speed", 0.5, 1, (0.0, 0.5), 0.5),
+], ids=["left", "right is its own", "rate to the left", "rate to the right", "acceleration",
+        "deceleration has its own", "top speed", "no reverse", "the supervisor's cap"])  # fmt: skip
 def test_an_order_is_held_at_each_bound_and_passes_before_it(axis, bound, side, last, cap):
     """`side` is 1 where the bound is the most, -1 where it is the least."""
     for wish in near(bound):
@@ -90,10 +88,9 @@ def test_not_finite_is_a_verdict_and_never_clipped(bad, place):
     assert (out.order, out.state.t_ns) == (Command(0.125, 1.0), 0)
 
 
-@pytest.mark.parametrize(
-    ("dt_ns", "steer", "speed"),
-    [(5_000_000, 2.0 * 0.005, 2.0 * 0.005), (3_600 * 10**9, STEER_STEP, ACCEL_STEP)],
-)
+@pytest.mark.parametrize(("dt_ns", "steer", "speed"), [
+    (5_000_000, 2.0 * 0.005, 2.0 * 0.005), (3_600 * 10**9, STEER_STEP, ACCEL_STEP),
+])  # fmt: skip
 def test_rates_are_per_second_and_a_pause_does_not_allow_a_jump(dt_ns, steer, speed):
     out = pass_gate(0.25, 3.0, dt_ns=dt_ns)
     assert out.order == Command(pytest.approx(steer), pytest.approx(speed))

@@ -93,13 +93,10 @@ def _readings(rng, car, config, t_ns, state, pose_loss, gyro):
     if gyro:
         yield t_ns, make_gyro(t_ns, state.yaw_rate + config.gyro_sd * n[4])
     if (t_ns - EPOCH_NS) % (2 * TICK_NS) == 0 and rng.random() >= pose_loss:
-        pose = make_pose(
-            t_ns - round(car.pose_delay * 1e9),
-            state.x + config.pose_position_sd * n[1],
-            state.y + config.pose_position_sd * n[2],
-            math.remainder(state.yaw + config.pose_yaw_sd * n[3], math.tau),
-        )
-        yield t_ns + POSE_LATENCY_NS, pose
+        sd = config.pose_position_sd
+        x, y = state.x + sd * n[1], state.y + sd * n[2]
+        yaw = math.remainder(state.yaw + config.pose_yaw_sd * n[3], math.tau)
+        yield t_ns + POSE_LATENCY_NS, make_pose(t_ns - round(car.pose_delay * 1e9), x, y, yaw)
 
 
 def filtered(flt, drive, begin=None):

@@ -115,10 +115,9 @@ def poses_on_a_curve(seed, speed, yaw, yaw_rate, slip, count=10):
     return out
 
 
-@pytest.mark.parametrize(
-    ("speed", "yaw", "yaw_rate", "slip"),
-    [(0.0, 0.4, 0.0, 0.0), (2.0, 3.1, 1.0, 0.03), (-1.5, -2.0, 0.4, 0.0), (0.3, 1.0, -0.5, 0.0)],
-)
+@pytest.mark.parametrize(("speed", "yaw", "yaw_rate", "slip"), [
+    (0.0, 0.4, 0.0, 0.0), (2.0, 3.1, 1.0, 0.03), (-1.5, -2.0, 0.4, 0.0), (0.3, 1.0, -0.5, 0.0),
+])  # fmt: skip
 def test_first_belief_covers_the_truth(speed, yaw, yaw_rate, slip):
     truth = np.array([0.0, 0.0, yaw, speed, yaw_rate, slip])
     errors = []
@@ -155,16 +154,15 @@ def test_defaults_pass_their_own_validation():
     assert load_filter_config({}) == FilterConfig()
 
 
-@pytest.mark.parametrize(
-    ("mapping", "words"),
-    [({"pose_sd": 0.1}, "unknown key 'pose_sd' (known: pose_position_sd"),
-     ({"gyro_sd": "much"}, "gyro_sd must be a number, not 'much'"),
-     ({"gyro_sd": True}, "gyro_sd must be a number, not True"),
-     ({"gyro_sd": -1.0}, "gyro_sd = -1.0 is outside 1e-06 .. 10"),
-     ({"wheel_speed_sd": 0.0}, "wheel_speed_sd = 0.0 is outside"),
-     ({"history_s": 0.3}, "history_s = 0.3 is outside 0.5 .. 2"),
-     ({"initial_poses": 7.5}, "initial_poses must be a whole number")],
-)  # fmt: skip
+@pytest.mark.parametrize(("mapping", "words"), [
+    ({"pose_sd": 0.1}, "unknown key 'pose_sd' (known: pose_position_sd"),
+    ({"gyro_sd": "much"}, "gyro_sd must be a number, not 'much'"),
+    ({"gyro_sd": True}, "gyro_sd must be a number, not True"),
+    ({"gyro_sd": -1.0}, "gyro_sd = -1.0 is outside 1e-06 .. 10"),
+    ({"wheel_speed_sd": 0.0}, "wheel_speed_sd = 0.0 is outside"),
+    ({"history_s": 0.3}, "history_s = 0.3 is outside 0.5 .. 2"),
+    ({"initial_poses": 7.5}, "initial_poses must be a whole number"),
+])  # fmt: skip
 def test_each_problem_is_named(mapping, words):
     with pytest.raises(ValueError) as caught:  # noqa: PT011
         load_filter_config(mapping)

@@ -10,21 +10,15 @@ from hypothesis import strategies as st
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.state import ORIGIN, Command, State
+from steerd.estimator import state_filter as sf
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.initial import make_belief
 from steerd.estimator.sensors import Kind, Measurement, make_gyro, make_pose, make_wheel_speed
-from steerd.estimator.state_filter import (
-    FilterState,
-    StateEstimate,
-    make_state_filter,
-    predict_to,
-    restart_filter,
-    step,
-)
+from steerd.estimator.state_filter import FilterState, predict_to, step
 
 MS = 1_000_000
 T0 = 10**12
-FILTER = make_state_filter(DEFAULT_CAR)
+FILTER = sf.make_state_filter(DEFAULT_CAR)
 
 
 def standing(milliseconds: int = 300) -> tuple[int, FilterState]:
@@ -120,7 +114,7 @@ def test_a_body_swap_is_counted_and_never_moves_the_estimate():
     assert after.health.pose.nis > 1e3
     assert after.health.pose.age_s(after.t_ns) == pytest.approx((now - t + 16 * MS) * 1e-9)
     assert abs(after.state.x - before.state.x) < 0.001
-    again = restart_filter(state)
+    again = sf.restart_filter(state)
     assert predict_to(FILTER, again, now) is None
     for k in range(20, 30):
         now = t + k * 10 * MS
@@ -200,7 +194,7 @@ def test_stamp_latency_and_speed_gain_of_the_car_are_honoured(simulate, run_filt
     car = DEFAULT_CAR._replace(speed_gain=1.1)
     late = car._replace(pose_delay=0.02)
     drive = simulate(2, 1.5, car=car)
-    flt = make_state_filter(late)
+    flt = sf.make_state_filter(late)
     by = {Kind.POSE: 20 * MS}
     late_poses = [m._replace(t_ns=m.t_ns + by.get(m.kind, 0)) for _, m in drive.arrivals]
     came = [max(t, m.t_ns) for (t, _), m in zip(drive.arrivals, late_poses, strict=True)]
@@ -252,7 +246,7 @@ def test_an_unsound_belief_is_called_so():
 
 
 # The belief depends on what was measured, not on the order in which it arrived.
-FUSING = make_state_filter(DEFAULT_CAR, FilterConfig(history_s=1.0))
+FUSING = sf.make_state_filter(DEFAULT_CAR, FilterConfig(history_s=1.0))
 COMMANDS = [(T0 + k * 5 * MS, Command(0.1 if k % 40 < 20 else -0.1, 1.5)) for k in range(80)]
 POSES = [make_pose(T0 + k * 10 * MS, 0.015 * k, 0.0, 0.0) for k in range(10)]
 BEGUN = step(FUSING, FilterState(), T0 + 100 * MS, POSES, COMMANDS)
@@ -279,14 +273,14 @@ def readings(draw: st.DrawFn) -> list[Measurement]:
     return out
 
 
-def fed(batches: list[list[Measurement]]) -> StateEstimate:
+def fed(batches: list[list[Measurement]]) -> sf.StateEstimate:
     state = BEGUN
     for batch in batches:
         state = step(FUSING, state, NOW, batch)
     return predict_to(FUSING, state, NOW)
 
 
-def same(one: StateEstimate, other: StateEstimate) -> None:
+def same(one: sf.StateEstimate, other: sf.StateEstimate) -> None:
     np.testing.assert_allclose(one.state, other.state, rtol=0.0, atol=1e-9)
     covariances = one.belief.covariance, other.belief.covariance
     np.testing.assert_allclose(*covariances, rtol=1e-9, atol=1e-12)

@@ -17,13 +17,11 @@ RELABEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 def matrix(q: np.ndarray) -> np.ndarray:
     w, x, y, z = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
 
 
 def test_y_up_is_a_relabelling_on_1000_random_rotations():
@@ -46,14 +44,12 @@ def test_y_up_is_a_relabelling_on_1000_random_rotations():
         assert pose.height == pytest.approx(p[1])
 
 
-@pytest.mark.parametrize(
-    ("config", "q", "yaw"),
-    [({"up": "y", "body_forward": "+x"}, (cos(0.35), 0.0, sin(0.35), 0.0), 0.70),
-     ({"up": "y", "body_forward": "+z"}, (cos(0.35), 0.0, sin(0.35), 0.0), 0.70 - pi / 2),
-     ({"mount_yaw": radians(3.0)}, (cos(0.5), 0.0, 0.0, sin(0.5)), 1.0 - radians(3.0)),
-     ({}, (cos(0.5), 0.0, 0.0, sin(0.5)), 1.0), ({}, (-cos(0.5), 0.0, 0.0, -sin(0.5)), 1.0)],
-    ids=["forward along x", "forward along z", "mounted askew", "q", "-q is the same"],
-)  # fmt: skip
+@pytest.mark.parametrize(("config", "q", "yaw"), [
+    ({"up": "y", "body_forward": "+x"}, (cos(0.35), 0.0, sin(0.35), 0.0), 0.70),
+    ({"up": "y", "body_forward": "+z"}, (cos(0.35), 0.0, sin(0.35), 0.0), 0.70 - pi / 2),
+    ({"mount_yaw": radians(3.0)}, (cos(0.5), 0.0, 0.0, sin(0.5)), 1.0 - radians(3.0)),
+    ({}, (cos(0.5), 0.0, 0.0, sin(0.5)), 1.0), ({}, (-cos(0.5), 0.0, 0.0, -sin(0.5)), 1.0),
+], ids=["forward along x", "forward along z", "mounted askew", "q", "-q is the same"])  # fmt: skip
 def test_yaw_by_axis_mount_and_sign(config, q, yaw):
     pose = frame.make_planar_pose(frame.FrameConfig(**config), (1.0, 2.0, 3.0), q)
     assert pose.yaw == pytest.approx(yaw)
@@ -153,12 +149,11 @@ def test_start_up():
     assert s.state is SourceState.CONNECTING
 
 
-@pytest.mark.parametrize(
-    ("frames", "state"),
-    [("G" * 9, "syncing"), ("G" * 10, "ok"), ("G" * 9 + "B" + "G" * 9, "syncing"),
-     ("G" * 9 + "B" + "G" * 10, "ok"), ("G" * 10 + "B" * 20, "lost"),
-     ("G" * 10 + "." * 41 + "G" * 9, "lost"), ("G" * 10 + "." * 41 + "G" * 10, "ok")],
-)  # fmt: skip
+@pytest.mark.parametrize(("frames", "state"), [
+    ("G" * 9, "syncing"), ("G" * 10, "ok"), ("G" * 9 + "B" + "G" * 9, "syncing"),
+    ("G" * 9 + "B" + "G" * 10, "ok"), ("G" * 10 + "B" * 20, "lost"),
+    ("G" * 10 + "." * 41 + "G" * 9, "lost"), ("G" * 10 + "." * 41 + "G" * 10, "ok"),
+])  # fmt: skip
 def test_ten_good_frames_in_a_row_are_life_and_bad_ones_are_none(frames, state):
     """Good, bad and missing frames every 10 ms."""
     s = MonitorState()
@@ -227,11 +222,10 @@ def test_a_few_false_poses_leave_the_true_ones_in(speed, beyond, count):
     assert (reasons[20], reasons[20 + count :]) == ("jump", [None] * (40 - count))
 
 
-@pytest.mark.parametrize(
-    ("aside", "reason"),
-    [*(((dx, 0.0), "jump") for dx in (0.1, 0.3, 0.5, 1.5, 20.0)),
-     *(((0.0, dyaw), "yaw_jump") for dyaw in (radians(30), pi / 2, pi))],
-)  # fmt: skip
+@pytest.mark.parametrize(("aside", "reason"), [
+    *(((dx, 0.0), "jump") for dx in (0.1, 0.3, 0.5, 1.5, 20.0)),
+    *(((0.0, dyaw), "yaw_jump") for dyaw in (radians(30), pi / 2, pi)),
+])  # fmt: skip
 def test_a_swapped_or_flipped_body_stays_out_however_long(aside, reason):
     state, _ = run(drive, 20)
     state, reasons = run(shifted(*aside), 300, state, first=20)
@@ -240,14 +234,13 @@ def test_a_swapped_or_flipped_body_stays_out_however_long(aside, reason):
     assert (state.last.x, state.last.yaw) == pytest.approx((drive(19).x, 0.0))
 
 
-@pytest.mark.parametrize(
-    ("place", "reasons"),
-    [(shifted(2.0), ["jump"] * 14 + [None] * 6),
-     (lambda i: shifted(2.0 + i % 3)(i), ["jump"] * 20),
-     (lambda i: make_pose(drive(i).x, height=0.2 + 0.05 * (i % 2)), ["height"] * 20),
-     (lambda i: make_pose(drive(i).x, height=0.2), ["height"] * 14 + [None] * 6)],
-    ids=["elsewhere", "places that disagree", "heights that disagree", "another height"],
-)  # fmt: skip
+@pytest.mark.parametrize(("place", "reasons"), [
+    (shifted(2.0), ["jump"] * 14 + [None] * 6),
+    (lambda i: shifted(2.0 + i % 3)(i), ["jump"] * 20),
+    (lambda i: make_pose(drive(i).x, height=0.2 + 0.05 * (i % 2)), ["height"] * 20),
+    (lambda i: make_pose(drive(i).x, height=0.2), ["height"] * 14 + [None] * 6),
+], ids=["elsewhere", "places that disagree", "heights that disagree",
+        "another height"])  # fmt: skip
 def test_a_stopped_car_is_taken_in_where_fifteen_poses_agree(place, reasons):
     state, _ = run(drive, 20)
     assert run(place, 20, state, first=20, stationary=True)[1] == reasons
@@ -272,16 +265,15 @@ def test_frame_order_and_the_unit_of_the_mean_error():
 NOT_FINITE = {"x": nan, "y": nan, "yaw": nan, "height": nan, "tilt": nan}
 
 
-@pytest.mark.parametrize(
-    ("wrong", "reason"),
-    [({"live": False}, "not_live"), (NOT_FINITE, "not_finite"),
-     ({"position": (nan,) * 3}, "not_finite"), ({"position": (inf,) * 3}, "not_finite"),
-     ({"quaternion": (nan,) * 4}, "not_finite"),
-     ({"tracking_valid": False}, "invalid"), ({"position": (0.0,) * 3}, "zero_pose"),
-     ({"quaternion": (0.0,) * 4}, "quaternion"), ({"mean_error": 0.006}, "mean_error"),
-     ({"mean_error": nan}, "mean_error"), ({"position": (101.0, 0.0, 0.0)}, "units"),
-     ({"tilt": 0.2}, "tilt"), ({"height": 0.14}, "height")],
-)  # fmt: skip
+@pytest.mark.parametrize(("wrong", "reason"), [
+    ({"live": False}, "not_live"), (NOT_FINITE, "not_finite"),
+    ({"position": (nan,) * 3}, "not_finite"), ({"position": (inf,) * 3}, "not_finite"),
+    ({"quaternion": (nan,) * 4}, "not_finite"),
+    ({"tracking_valid": False}, "invalid"), ({"position": (0.0,) * 3}, "zero_pose"),
+    ({"quaternion": (0.0,) * 4}, "quaternion"), ({"mean_error": 0.006}, "mean_error"),
+    ({"mean_error": nan}, "mean_error"), ({"position": (101.0, 0.0, 0.0)}, "units"),
+    ({"tilt": 0.2}, "tilt"), ({"height": 0.14}, "height"),
+])  # fmt: skip
 def test_a_pose_that_is_none_is_rejected_with_its_reason(wrong, reason):
     state, _ = run(drive, 1)
     pose = at(drive(1), 1, 10 * MS)

@@ -10,16 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerd.mocap_link import natnet
+from steerd.mocap_link import natnet, natnet_wire
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.natnet_client import UNANSWERED, NatNetSource
-from steerd.mocap_link.natnet_wire import (
-    BITSTREAM_CHANGED,
-    MODEL_CHANGED,
-    Frame,
-    NatNetError,
-    RigidBody,
-)
+from steerd.mocap_link.natnet_wire import Frame, NatNetError, RigidBody
 
 SPEC = json.loads(Path(__file__).with_name("natnet_rich.json").read_text())
 RICH = {
@@ -53,7 +47,7 @@ def test_golden_frame(version):
     assert body.tracking_valid
     assert frame.timestamp == 1.25
     ticks = (frame.mid_exposure_ticks, frame.data_received_ticks, frame.transmit_ticks)
-    assert (ticks, frame.params) == ((111, 222, 333), MODEL_CHANGED)
+    assert (ticks, frame.params) == ((111, 222, 333), natnet_wire.MODEL_CHANGED)
     if version >= (4, 1):
         data = data[:150] + bytes(8) + data[158:]  # the precise stamp is read over
     assert natnet.encode(frame, version) == data
@@ -99,10 +93,9 @@ def test_short_and_long_forms_are_read_and_stopped_clocks_and_what_does_not_fit_
             natnet.encode(message)
 
 
-@pytest.mark.parametrize(
-    ("version", "at", "number", "said"),
-    [*(((3, 0), 8, n, "count") for n in (-1, 10_001, 2**31 - 1)), ((4, 1), 28, 37, "size")],
-)
+@pytest.mark.parametrize(("version", "at", "number", "said"), [
+    *(((3, 0), 8, n, "count") for n in (-1, 10_001, 2**31 - 1)), ((4, 1), 28, 37, "size"),
+])  # fmt: skip
 def test_absurd_counts_and_sizes_are_refused(version, at, number, said):
     data = bytearray.fromhex(VECTORS[version])
     data[at : at + 4] = number.to_bytes(4, "little", signed=True)
@@ -168,7 +161,7 @@ def test_a_server_that_says_goodbye_is_called_again(client, goodbye):
 
 
 def test_a_changed_bitstream_asks_who_is_there(client):
-    client.on_datagram(make_frame(params=BITSTREAM_CHANGED), 10, IP, "data")
+    client.on_datagram(make_frame(params=natnet_wire.BITSTREAM_CHANGED), 10, IP, "data")
     assert not client.connected
     now = replace(INFO, natnet_version=(3, 0, 0, 0))
     client.on_datagram(natnet.encode(now, (3, 0)), 11, IP)
@@ -177,7 +170,7 @@ def test_a_changed_bitstream_asks_who_is_there(client):
 
 
 def test_a_changed_model_is_asked_for_and_followed(client):
-    client.on_datagram(make_frame(params=MODEL_CHANGED), 10, IP, "data")
+    client.on_datagram(make_frame(params=natnet_wire.MODEL_CHANGED), 10, IP, "data")
     sent = [natnet.decode(d, (4, 1)) for d in client.on_timer(300 * MS)]
     assert sent.count(natnet.Bare.REQUEST_MODEL) == 1
     model = natnet.ModelDef((natnet.RigidBodyDesc("car", 7),))

@@ -126,12 +126,11 @@ def test_2_9_is_timed_one_way():
     room.assert_no_jump(late, 2e-3)  # 5.5 ms real delay against the 6 ms that are assumed
 
 
-@pytest.mark.parametrize(
-    ("fault", "reason"),
-    [("invalid", "invalid"), ("M9", "zero_pose"), ("M8", "not_finite"), ("M10", "units"),
-     ("mean_error_ramp", "mean_error"), ("body_removed", ""), ("M6", "yaw_jump"), ("M4", "jump"),
-     ("M11", "jump"), ("M12", "jump"), ("edit_mode", "not_live")],
-)  # fmt: skip
+@pytest.mark.parametrize(("fault", "reason"), [
+    ("invalid", "invalid"), ("M9", "zero_pose"), ("M8", "not_finite"), ("M10", "units"),
+    ("mean_error_ramp", "mean_error"), ("body_removed", ""), ("M6", "yaw_jump"), ("M4", "jump"),
+    ("M11", "jump"), ("M12", "jump"), ("edit_mode", "not_live"),
+])  # fmt: skip
 def test_a_fault_ends_in_its_reason_and_in_lost_and_its_end_in_ok(fault, reason):
     room = begin(Fault(fault, SECOND, 1200 * MS))
     room.run(0.1)
@@ -184,11 +183,9 @@ def test_server_restart_with_a_new_epoch(multicast):
 STEPS = [Fault("M21", SECOND, clock_step_ns=ms * MS) for ms in (-1000, -60, 60, 1000, 3 * 10**9)]
 
 
-@pytest.mark.parametrize(
-    "fault",
-    [Fault("server_restart", SECOND), *STEPS],
-    ids=["restart", "-1 s", "-60 ms", "60 ms", "1 s", "3 s"],
-)
+@pytest.mark.parametrize("fault", [
+    Fault("server_restart", SECOND), *STEPS,
+], ids=["restart", "-1 s", "-60 ms", "60 ms", "1 s", "3 s"])  # fmt: skip
 def test_a_server_clock_that_steps_is_learnt_anew(fault):
     room = begin(fault)
     room.run(0.2)
@@ -204,15 +201,14 @@ def others(*named: tuple[str, int]) -> dict[str, Any]:
     return {"bystanders": tuple(Bystander(*each, (3.0, 1.0, 0.0)) for each in named)}
 
 
-@pytest.mark.parametrize(
-    ("given", "deaf", "refused", "words"),
-    [({"follow": "cra"}, False, False, ("'cra'", "car, b2")),
-     ({"multicast": True}, True, False, ("wrong interface",)),
-     ({"version": (2, 7)}, False, True, ("NatNet 2.7",)),
-     (others(("b2", 1)), True, True, ("share streaming id 1",)),
-     (others(("car", 2)), False, True, ("named 'car'",))],
-    ids=["unknown body", "answers without frames", "another age", "one id twice", "one name twice"],
-)  # fmt: skip
+@pytest.mark.parametrize(("given", "deaf", "refused", "words"), [
+    ({"follow": "cra"}, False, False, ("'cra'", "car, b2")),
+    ({"multicast": True}, True, False, ("wrong interface",)),
+    ({"version": (2, 7)}, False, True, ("NatNet 2.7",)),
+    (others(("b2", 1)), True, True, ("share streaming id 1",)),
+    (others(("car", 2)), False, True, ("named 'car'",)),
+], ids=["unknown body", "answers without frames", "another age", "one id twice",
+        "one name twice"])  # fmt: skip
 def test_what_keeps_poses_away_is_explained(given, deaf, refused, words):
     room = Room(**given)
     room.deaf = deaf

@@ -27,13 +27,12 @@ def test_times_before_the_epoch_dds_padding_and_empty_strings_of_length_zero_are
     assert decode(Tick, data) == Tick(standard.Header(standard.Time(1, 2), ""), 3, 4, 5, 6, 7)
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [Tick(HEADER, 0, 0, 0, -1, 0), Tick(HEADER, 2**63, 0, 0, 0, 0), Tick(HEADER, 0, 0, 0, "1", 0),
-     Tick(None, 0, 0, 0, 0, 0), Transition(HEADER, 256, 0, "", ""),
-     Transition(HEADER, 0, 0, "\ud800", ""), Transition(HEADER, 0, 0, "x" * MAX_BYTES, ""),
-     standard.DiagnosticArray(HEADER, (standard.KeyValue("a", "b"), 3))],
-)  # fmt: skip
+@pytest.mark.parametrize("bad", [
+    Tick(HEADER, 0, 0, 0, -1, 0), Tick(HEADER, 2**63, 0, 0, 0, 0), Tick(HEADER, 0, 0, 0, "1", 0),
+    Tick(None, 0, 0, 0, 0, 0), Transition(HEADER, 256, 0, "", ""),
+    Transition(HEADER, 0, 0, "\ud800", ""), Transition(HEADER, 0, 0, "x" * MAX_BYTES, ""),
+    standard.DiagnosticArray(HEADER, (standard.KeyValue("a", "b"), 3)),
+])  # fmt: skip
 def test_what_does_not_fit_is_refused(bad):
     with pytest.raises(CodecError):
         encode(bad)
@@ -60,15 +59,14 @@ def test_things_that_are_no_message_are_refused():
         fields.message_fields(Untyped)
 
 
-@pytest.mark.parametrize(
-    ("data", "why"),
-    [(b"", "missing"), (b"\0", "CDR"), (b"\0\0\0\0" + bytes(48), "CDR"), (b"\0\1\0\0", "unpack"),
-     (b"\0\1\0\0" + bytes(8) + b"\xff\xff\xff\xff", "exceeds the data"),
-     (b"\0\1\0\0" + bytes(8) + b"\2\0\0\0ab" + bytes(60), "NUL"),
-     (b"\0\1\0\0" + bytes(8) + b"\2\0\0\0\xff\0" + bytes(60), "utf-8"),
-     (encode(Tick(HEADER, 1, 2, 3, 4, 5)) + bytes(4), "left over"),
-     (b"\0\1\0\0" + bytes(MAX_BYTES), "exceed")],
-)  # fmt: skip
+@pytest.mark.parametrize(("data", "why"), [
+    (b"", "missing"), (b"\0", "CDR"), (b"\0\0\0\0" + bytes(48), "CDR"), (b"\0\1\0\0", "unpack"),
+    (b"\0\1\0\0" + bytes(8) + b"\xff\xff\xff\xff", "exceeds the data"),
+    (b"\0\1\0\0" + bytes(8) + b"\2\0\0\0ab" + bytes(60), "NUL"),
+    (b"\0\1\0\0" + bytes(8) + b"\2\0\0\0\xff\0" + bytes(60), "utf-8"),
+    (encode(Tick(HEADER, 1, 2, 3, 4, 5)) + bytes(4), "left over"),
+    (b"\0\1\0\0" + bytes(MAX_BYTES), "exceed"),
+])  # fmt: skip
 def test_bad_bytes_are_refused(data, why):
     with pytest.raises(CodecError, match=why):
         decode(Tick, data)

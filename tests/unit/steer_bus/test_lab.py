@@ -43,11 +43,10 @@ def test_a_key_that_others_can_read_is_refused(folder, mode):
         load_lab(folder)
 
 
-@pytest.mark.parametrize(
-    "text",
-    ["", "car = ", GOOD.replace("car1", ""), GOOD.replace('"desk"', "3"),
-     GOOD.replace('["screen"]', "7"), GOOD.replace("tls/", "tcp/"), "\x00", GOOD * 2, "\xff\xfe"],
-)  # fmt: skip
+@pytest.mark.parametrize("text", [
+    "", "car = ", GOOD.replace("car1", ""), GOOD.replace('"desk"', "3"),
+    GOOD.replace('["screen"]', "7"), GOOD.replace("tls/", "tcp/"), "\x00", GOOD * 2, "\xff\xfe",
+])  # fmt: skip
 def test_an_odd_list_is_refused_by_name(folder, text):
     (folder / "lab.toml").write_bytes(text.encode("latin-1"))
     with pytest.raises(BusError, match=r"lab\.toml"):

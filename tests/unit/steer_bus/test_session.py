@@ -12,19 +12,11 @@ from mcap.records import Attachment  # noqa: TID251
 from mcap.writer import Writer  # noqa: TID251
 from mcap_ros2.decoder import DecoderFactory
 
+from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.container_write import ContainerWriter
 from steerd.steer_bus.fields import flat_leaves
-from steerd.steer_bus.messages import (
-    OWN_MESSAGES,
-    WORLD,
-    Actuation,
-    ClockSample,
-    StateMessage,
-    Tick,
-    Transition,
-    make_header,
-)
+from steerd.steer_bus.messages import OWN_MESSAGES, WORLD, StateMessage, make_header
 from steerd.steer_bus.session import FLUSH_NS, SYNC_NS, SessionWriter, recover
 from steerd.steer_bus.session_read import SessionError, open_session
 from steerd.steer_bus.standard import DiagnosticArray, Odometry
@@ -45,7 +37,7 @@ def recorded(path, cls, messages):
 
 
 def clock(i, frame=WORLD):
-    return encode(ClockSample(make_header(i, frame), i, i, i))
+    return encode(m.ClockSample(make_header(i, frame), i, i, i))
 
 
 def test_info(drive):
@@ -92,8 +84,8 @@ def test_columns_hold_every_value(drive, cls):
     messages = drive.messages[TOPIC_OF[cls]]
     assert len(columns["log_ns"]) == len(messages)
     for leaf in flat_leaves(cls)[3:]:
-        assert columns[leaf.name].tolist() == [getattr(m, leaf.name) for m in messages]
-    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]
+        assert columns[leaf.name].tolist() == [getattr(each, leaf.name) for each in messages]
+    stamps = [each.header.stamp.sec * 10**9 + each.header.stamp.nanosec for each in messages]
     assert columns["stamp_ns"].tolist() == stamps
 
 
@@ -103,16 +95,16 @@ def test_columns_of_a_topic_without_messages(tmp_path):
 
 
 def test_log_time_never_goes_back(tmp_path):
-    writer = start(tmp_path / "a.mcap", clock=ClockSample)
+    writer = start(tmp_path / "a.mcap", clock=m.ClockSample)
     for log_ns in (5, 3, 9, -1, 1 << 70):
         writer.write("/clock", clock(0), log_ns, log_ns)
-    columns = open_session(writer.finish({})).columns(ClockSample)
+    columns = open_session(writer.finish({})).columns(m.ClockSample)
     assert columns["log_ns"].tolist() == [5, 5, 9, 9, (1 << 63) - 1]
     assert columns["publish_ns"].tolist() == [5, 3, 9, 0, (1 << 63) - 1]
 
 
 def test_the_flush_policy(tmp_path):
-    writer = start(tmp_path / "a.mcap", clock=ClockSample)
+    writer = start(tmp_path / "a.mcap", clock=m.ClockSample)
     due = []
     for i in range(9):
         writer.write("/clock", clock(i), i)
@@ -152,7 +144,7 @@ def test_what_a_session_lacks_is_said(drive):
     session = open_session(drive.path)
     assert refusal(session.columns, StateMessage, "/nothing") == ("missing_topic", 4)
     assert refusal(session.columns, Odometry) == ("missing_topic", 4)
-    assert refusal(session.columns, StateMessage, TOPIC_OF[Tick]) == ("other_schema", 4)
+    assert refusal(session.columns, StateMessage, TOPIC_OF[m.Tick]) == ("other_schema", 4)
     assert refusal(session.attachment, "x") == ("missing_attachment", 4)
     assert session.attachment("car.toml") == b"mass_kg = 3.1\n"
     with pytest.raises(TypeError, match="messages"):
@@ -166,13 +158,13 @@ def test_a_file_that_shrinks_while_it_is_read(tmp_path, drive):
     assert refusal(session.columns, StateMessage)[0] == "changed"
 
 
-@pytest.mark.parametrize("cls", [Odometry, Transition, Actuation])
+@pytest.mark.parametrize("cls", [Odometry, m.Transition, m.Actuation])
 def test_both_ways_to_columns_give_every_value(tmp_path, cls):
     rng = np.random.default_rng(2)
     same = [drawn(cls, rng) for _ in range(6)]
     if cls is Odometry:
-        same = [dataclasses.replace(m, child_frame_id="base_link") for m in same]
-    same = [dataclasses.replace(m, header=make_header(i, WORLD)) for i, m in enumerate(same)]
+        same = [dataclasses.replace(each, child_frame_id="base_link") for each in same]
+    same = [dataclasses.replace(s, header=make_header(i, WORLD)) for i, s in enumerate(same)]
     odd = dataclasses.replace(same[0], header=make_header(0, "another_frame"))
     for name, messages in (("fast", same), ("slow", [*same, odd])):
         session = recorded(tmp_path / f"{name}.mcap", cls, map(encode, messages))
@@ -183,7 +175,7 @@ def test_both_ways_to_columns_give_every_value(tmp_path, cls):
             assert columns[name].tolist() == told
 
 
-GOOD = encode(Transition(make_header(0, WORLD), 1, 2, "", ""))
+GOOD = encode(m.Transition(make_header(0, WORLD), 1, 2, "", ""))
 BAD_TAILS = (b"\2\0\0\0ab", b"\2\0\0\0\xff\0", b"\xff\0\0\0", b"", bytes(64))
 
 
@@ -191,8 +183,8 @@ BAD_TAILS = (b"\2\0\0\0ab", b"\2\0\0\0\xff\0", b"\xff\0\0\0", b"", bytes(64))
     "bad", [*(GOOD[:24] + tail for tail in BAD_TAILS), b"\0\0" + GOOD[2:], GOOD[:4], b""]
 )
 def test_a_bad_text_at_the_end_and_big_endian_bytes_are_bad_messages(tmp_path, bad):
-    session = recorded(tmp_path / "a.mcap", Transition, [GOOD, bad])
-    assert refusal(session.columns, Transition)[0] == "bad_message"
+    session = recorded(tmp_path / "a.mcap", m.Transition, [GOOD, bad])
+    assert refusal(session.columns, m.Transition)[0] == "bad_message"
 
 
 # Session files are the mcap library's, byte by byte.

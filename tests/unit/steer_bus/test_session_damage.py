@@ -162,17 +162,16 @@ def test_a_bomb_is_refused_cheaply(tmp_path):
     assert peak < 10 << 20
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [chunk(message(), crc=1), chunk(message(), "brotli"), chunk(message(), "lz4"),
-     chunk(message(), raw=b"\x28\xb5\x2f\xfd rubbish"),
-     chunk(message(), raw=zstandard.compress(message())[:-3]), chunk(b"\5\xff\0"),
-     chunk(record(5, b"short")), chunk(record(4, b"")),
-     chunk(record(4, struct.pack("<HH", 3, 1) + text(b"\xff\xfe") + text("") + text(b""))),
-     chunk(struct.pack("<BQH", 5, 1 << 62, 1) + bytes(40)), record(7, b"no index at all"),
-     record(11, bytes(46)), record(9, bytes(10)), record(12, text("name") + text(b"odd")),
-     record(0, b""), record(15, b"12345"), struct.pack("<BQ", 6, 1 << 63)],
-)  # fmt: skip
+@pytest.mark.parametrize("bad", [
+    chunk(message(), crc=1), chunk(message(), "brotli"), chunk(message(), "lz4"),
+    chunk(message(), raw=b"\x28\xb5\x2f\xfd rubbish"),
+    chunk(message(), raw=zstandard.compress(message())[:-3]), chunk(b"\5\xff\0"),
+    chunk(record(5, b"short")), chunk(record(4, b"")),
+    chunk(record(4, struct.pack("<HH", 3, 1) + text(b"\xff\xfe") + text("") + text(b""))),
+    chunk(struct.pack("<BQH", 5, 1 << 62, 1) + bytes(40)), record(7, b"no index at all"),
+    record(11, bytes(46)), record(9, bytes(10)), record(12, text("name") + text(b"odd")),
+    record(0, b""), record(15, b"12345"), struct.pack("<BQ", 6, 1 << 63),
+])  # fmt: skip
 def test_a_bad_record_does_not_hide_the_next(tmp_path, bad):
     good = chunk(channel() + message(data=b"abc"))
     session, found = read_all(write(tmp_path / "a.mcap", MAGIC, bad, good))

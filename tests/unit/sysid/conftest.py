@@ -41,11 +41,8 @@ def mixed_commands(seconds: float, seed: int, lateral: float = 5.0) -> Array:
         v, kind, t = rng.uniform(1.0, 3.0), rng.integers(3), np.arange(n) * STEP
         limit = min(0.34, float(np.arctan(0.33 * lateral / v**2)))
         size = rng.uniform(-limit, limit)
-        shapes = (
-            np.ones(n),
-            np.sin(2 * np.pi * rng.uniform(0.4, 2.5) * t),
-            np.sin(2 * np.pi * (0.5 + t) * t),
-        )
+        shapes = (np.ones(n), np.sin(2 * np.pi * rng.uniform(0.4, 2.5) * t),
+                  np.sin(2 * np.pi * (0.5 + t) * t))  # fmt: skip
         steer[i : i + n], speed[i : i + n] = size * shapes[kind], v
         i += n
     for k in range(1, count):

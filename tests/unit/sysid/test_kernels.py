@@ -6,18 +6,9 @@ import torch
 
 from benchmarks.torch_reference import simulate_reference
 from steerd.car_model.model import Model
+from steerd.car_model.native import windows as native
 from steerd.car_model.native.specialised import SPECIALISED_SPEED
-from steerd.car_model.native.windows import (
-    HeldCommands,
-    Kernels,
-    Stations,
-    Windows,
-    compute_readings,
-    delays_of,
-    make_kernels,
-    parameter_vector,
-    settle,
-)
+from steerd.car_model.native.windows import HeldCommands, Windows, compute_readings, make_kernels
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.paper.paper_method import simulate
 
@@ -35,7 +26,7 @@ def _inputs(model, count=5, steps=40, history=4, seed=0):
     first = _first(rng, count)
     steer = rng.uniform(-0.4, 0.4, (count, history + steps))
     speed = rng.uniform(0.5, 3.0, (count, history + steps))
-    arrays = (parameter_vector(model), first, np.stack([steer, speed], -1))
+    arrays = (native.parameter_vector(model), first, np.stack([steer, speed], -1))
     return [torch.tensor(a, dtype=torch.float64, requires_grad=True) for a in arrays]
 
 
@@ -84,8 +75,8 @@ def test_single_precision_is_refused():
         simulate(make_kernels(), p.float(), first, commands, H)
 
 
-def _stations(kernels: Kernels, p, held: HeldCommands, windows: int) -> Stations:
-    late = delays_of(kernels, p)[2]
+def _stations(kernels: native.Kernels, p, held: HeldCommands, windows: int) -> native.Stations:
+    late = native.delays_of(kernels, p)[2]
     rows, row = [], 0
     for w in range(windows):
         for t in np.arange(0.0107, 0.19, 0.0173):
@@ -97,11 +88,11 @@ def _stations(kernels: Kernels, p, held: HeldCommands, windows: int) -> Stations
     table = np.array([r[:5] for r in rows], np.int64)
     shares = np.array([r[5] - r[1] for r in rows])
     spans = np.searchsorted(table[:, 0], np.arange(windows + 1))
-    return Stations(np.ascontiguousarray(table[:, 1:]), shares, spans, row)
+    return native.Stations(np.ascontiguousarray(table[:, 1:]), shares, spans, row)
 
 
 def test_sensitivities_are_central_differences(any_model):
-    kernels, p = make_kernels(any_model.effects), parameter_vector(any_model)
+    kernels, p = make_kernels(any_model.effects), native.parameter_vector(any_model)
     rng = np.random.default_rng(3)
     first = _first(rng, 2, 0.4)
     commands = np.stack([rng.uniform(-0.3, 0.3, 120), rng.uniform(0.5, 3.0, 120)], -1)
@@ -140,7 +131,7 @@ def _unlike(count, rows, rng):
 
 @pytest.mark.parametrize("substeps", [1, 3])
 def test_a_window_reads_the_same_in_any_company(any_model, substeps):
-    kernels, p = make_kernels(any_model.effects), parameter_vector(any_model)
+    kernels, p = make_kernels(any_model.effects), native.parameter_vector(any_model)
     rng, count = np.random.default_rng(8), 19
     first = _first(rng, count, 0.3)
     commands = np.stack([rng.uniform(-0.3, 0.3, 90), rng.uniform(0.3, 3.0, 90)], -1)
@@ -162,13 +153,13 @@ def test_a_window_reads_the_same_in_any_company(any_model, substeps):
 
 @pytest.mark.parametrize("substeps", [1, 2])
 def test_settled_steering_is_that_of_the_readings(any_model, substeps):
-    kernels, p = make_kernels(any_model.effects), parameter_vector(any_model)
+    kernels, p = make_kernels(any_model.effects), native.parameter_vector(any_model)
     rng, count = np.random.default_rng(9), 11
     first = np.zeros((count, 7 + kernels.memory))
     first[:, 3], first[:, 6] = 1.5, rng.normal(size=count) * 0.01
     commands = np.stack([rng.uniform(-0.3, 0.3, 90), np.full(90, 1.5)], -1)
     held, windows = HeldCommands(commands, H, substeps), _unlike(count, 90, rng)
-    begun = settle(kernels, p, first, held, windows)
+    begun = native.settle(kernels, p, first, held, windows)
     settled = Windows(windows.spans * [1, 1, 1, 1, 0], windows.t)
     seeds, dfirst = np.zeros((len(p), 1)), np.zeros((7, 1))
     stations = _stations(kernels, p, held, count)
@@ -179,6 +170,6 @@ def test_settled_steering_is_that_of_the_readings(any_model, substeps):
             for x, part in ((first, windows), (begun, settled))
         ]
         np.testing.assert_allclose(*ends, rtol=1e-12, atol=1e-12)
-    alone = [settle(kernels, p, first[[w]], held, Windows(windows.spans[[w]], windows.t[[w]]))
-             for w in range(count)]  # fmt: skip
+    each = [Windows(windows.spans[[w]], windows.t[[w]]) for w in range(count)]
+    alone = [native.settle(kernels, p, first[[w]], held, part) for w, part in enumerate(each)]
     np.testing.assert_allclose(np.concatenate(alone), begun, rtol=1e-12, atol=1e-12)

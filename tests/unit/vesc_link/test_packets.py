@@ -13,20 +13,13 @@ from steerd.sim_hw.vesc.vesc_device import make_fw_version
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link import identity as i
+from steerd.vesc_link import packets
 from steerd.vesc_link import scaling as s
 from steerd.vesc_link import telemetry as t
 from steerd.vesc_link.commands import Command, SetErpm, SetServoPos
 from steerd.vesc_link.frames import encode_frame
 from steerd.vesc_link.ids import FW_3_00, FW_7_01, PROFILES, Firmware, fault_name, knows
-from steerd.vesc_link.packets import (
-    FEEDS_TIMEOUT,
-    command_number,
-    decode_command,
-    decode_reply,
-    encode_command,
-    encode_reply,
-    expects_reply,
-)
+from steerd.vesc_link.packets import decode_command, decode_reply, encode_command, encode_reply
 from steerd.vesc_link.wire import Field, host_number, pack_device
 
 LIMITS_SET = c.SetMcConfTemp(0.5, 0.5, -9228, 9228, 0.25, 0.75, -500, 500, -20, 40, ack=False)
@@ -60,7 +53,7 @@ def present(values: object) -> dict[str, object]:
 @pytest.mark.parametrize("firmware", OLD_AND_NEW, ids=str)
 @pytest.mark.parametrize("command", EXAMPLES, ids=lambda command: type(command).__name__)
 def test_command_round_trip_on_every_firmware(command, firmware):
-    if not knows(firmware, command_number(command)):
+    if not knows(firmware, packets.command_number(command)):
         with pytest.raises(ValueError, match="needs firmware"):
             encode_command(command, firmware)
         assert decode_command(encode_command(command), firmware) is None
@@ -95,11 +88,11 @@ def test_limits_that_are_no_number_are_refused_both_ways():
 
 def test_what_feeds_the_motor_timeout_and_what_is_answered():
     assert {type(example) for example in EXAMPLES} == set(get_args(Command))
-    fed = {command_number(example) for example in EXAMPLES if isinstance(example, FEEDS_TIMEOUT)}
+    fed = {packets.command_number(e) for e in EXAMPLES if isinstance(e, packets.FEEDS_TIMEOUT)}
     assert fed == {5, 6, 7, 8, 30}
-    answered = {command_number(example) for example in EXAMPLES if expects_reply(example)}
+    answered = {packets.command_number(e) for e in EXAMPLES if packets.expects_reply(e)}
     assert answered == {0, 4, 17, 50, 51, 65, 91}
-    assert expects_reply(dataclasses.replace(LIMITS_SET, ack=True))
+    assert packets.expects_reply(dataclasses.replace(LIMITS_SET, ack=True))
     fast = encode_reply(dataclasses.replace(ALL_VALUES, mask=t.FAST_MASK))
     assert len(encode_frame(fast)) == 56, "one USB packet"
     named = {10: "BOOTING_FROM_WATCHDOG_RESET", 33: "ABS_OVERSPEED", 34: "FAULT_34"}
@@ -173,11 +166,10 @@ LIMITS = i.McConfTemp(1, 1, -23250, 23250, 0.25, 0.75, -1500, 1500, -20, 40, 4, 
 APPCONF = i.AppConf(0xDEADBEEF, 12, 1000, 8.5, bytes(range(200)))
 
 
-@pytest.mark.parametrize(
-    ("firmware", "size"),
-    [((2, 18), 3), ((3, 40), 22), ((3, 60), 23), ((5, 2), 26), ((5, 3), 29), ((6, 0), 31),
-     ((6, 5), 35), ((7, 1), 35)],
-)  # fmt: skip
+@pytest.mark.parametrize(("firmware", "size"), [
+    ((2, 18), 3), ((3, 40), 22), ((3, 60), 23), ((5, 2), 26), ((5, 3), 29), ((6, 0), 31),
+    ((6, 5), 35), ((7, 1), 35),
+])  # fmt: skip
 def test_version_reply_of_every_firmware(firmware, size):
     reply = make_fw_version(VescConfig(firmware=Firmware(*firmware)), bytes(12))
     payload = encode_reply(reply, Firmware(*firmware))
@@ -214,10 +206,9 @@ def test_angles_and_speeds_with_an_offset_come_back(steer, speed):
     assert s.erpm_to_speed(scaling, s.speed_to_erpm(scaling, speed)) == pytest.approx(speed)
 
 
-@pytest.mark.parametrize(
-    ("convert", "least", "most"),
-    [(s.steer_to_servo_pos, 0.85, 0.15), (s.speed_to_erpm, -23250.0, 23250.0)],
-)
+@pytest.mark.parametrize(("convert", "least", "most"), [
+    (s.steer_to_servo_pos, 0.85, 0.15), (s.speed_to_erpm, -23250.0, 23250.0),
+])  # fmt: skip
 def test_numbers_are_clamped_both_ways_and_what_is_none_never(convert, least, most):
     assert (convert(s.F1TENTH, -1e6), convert(s.F1TENTH, 1e6)) == (least, most)
     for value in (math.nan, math.inf, -math.inf):
@@ -225,11 +216,10 @@ def test_numbers_are_clamped_both_ways_and_what_is_none_never(convert, least, mo
             convert(s.F1TENTH, value)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"erpm_gain": 0.0}, {"servo_gain": 0.0}, {"erpm_gain": math.nan}, {"servo_min": 0.9},
-     {"servo_min": -0.1}, {"servo_max": 1.1}, {"erpm_max": 0.0}, {"erpm_max": math.inf}],
-)  # fmt: skip
+@pytest.mark.parametrize("wrong", [
+    {"erpm_gain": 0.0}, {"servo_gain": 0.0}, {"erpm_gain": math.nan}, {"servo_min": 0.9},
+    {"servo_min": -0.1}, {"servo_max": 1.1}, {"erpm_max": 0.0}, {"erpm_max": math.inf},
+])  # fmt: skip
 def test_unusable_calibration_is_refused(wrong):
     with pytest.raises(ValueError, match=r"must|finite"):
         s.Scaling(**wrong)

@@ -165,16 +165,14 @@ def test_one_tick_is_one_write_of_one_usb_packet_and_braking_needs_no_identity(l
     assert vesc.seen == [c.SetCurrentBrake(5.0)]
 
 
-@pytest.mark.parametrize(
-    ("drive", "motion"),
-    [(brake(8.0), [c.SetCurrentBrake(8.0)]),
-     (brake(8.0, 0.0), [c.SetCurrentBrake(8.0), c.SetServoPos(0.53)]),
-     (v.Drive(ActuationMode.SHORT), [c.SetDuty(0.0)]),
-     (v.Drive(ActuationMode.RELEASE), [c.SetCurrent(0.0)]), (SILENT, []),
-     (v.Drive(steer=0.0), [c.SetServoPos(0.53)]),
-     (go(9.0, 99.0), [c.SetErpm(23250.0), c.SetServoPos(0.15)])],
-    ids=lambda value: type(value).__name__,
-)  # fmt: skip
+@pytest.mark.parametrize(("drive", "motion"), [
+    (brake(8.0), [c.SetCurrentBrake(8.0)]),
+    (brake(8.0, 0.0), [c.SetCurrentBrake(8.0), c.SetServoPos(0.53)]),
+    (v.Drive(ActuationMode.SHORT), [c.SetDuty(0.0)]),
+    (v.Drive(ActuationMode.RELEASE), [c.SetCurrent(0.0)]), (SILENT, []),
+    (v.Drive(steer=0.0), [c.SetServoPos(0.53)]),
+    (go(9.0, 99.0), [c.SetErpm(23250.0), c.SetServoPos(0.15)]),
+], ids=lambda value: type(value).__name__)  # fmt: skip
 def test_drive_orders(link, vesc, drive, motion):
     vesc.answer(link.make_tick(drive, 0))
     assert [s for s in vesc.seen if not type(s).__name__.startswith("Get")] == motion

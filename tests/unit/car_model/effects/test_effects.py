@@ -92,10 +92,9 @@ def test_saturation_that_begins_early_is_a_brush_tyre_and_levels_off_at_the_fric
         assert large == pytest.approx(limit / math.sqrt(q), rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("speed", "yaw_rate", "slip_angle", "wheel", "accel"),
-    [(2.0, 1.5, -0.03, 0.2, 0.0), (1.5, 1.2, 0.02, 0.3, -1.0), (3.0, -1.0, 0.05, -0.15, 1.0)],
-)
+@pytest.mark.parametrize(("speed", "yaw_rate", "slip_angle", "wheel", "accel"), [
+    (2.0, 1.5, -0.03, 0.2, 0.0), (1.5, 1.2, 0.02, 0.3, -1.0), (3.0, -1.0, 0.05, -0.15, 1.0),
+])  # fmt: skip
 def test_a_drive_split_of_minus_a_half_makes_four_driven_wheels_two(
     speed, yaw_rate, slip_angle, wheel, accel
 ):
@@ -239,22 +238,19 @@ def test_instruments_see_the_marker_and_the_body_not_the_car():
     assert observe(FLOAT, shifted, state)[:2] == pytest.approx((1.0, 2.0 - 0.02))
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "angle", "wheel"),
-    [("steer_asymmetry", 0.1, 0.2, 0.22), ("steer_asymmetry", 0.1, -0.2, -0.18),
-     ("steer_nonlinearity", -1.0, 0.3, 0.273)],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "value", "angle", "wheel"), [
+    ("steer_asymmetry", 0.1, 0.2, 0.22), ("steer_asymmetry", 0.1, -0.2, -0.18),
+    ("steer_nonlinearity", -1.0, 0.3, 0.273),
+])  # fmt: skip
 def test_the_linkage_maps_servo_to_wheel(name, value, angle, wheel):
     linkage = EFFECTS[name].linkage
     assert linkage(FLOAT, (value,), (), angle)[0] == pytest.approx(wheel)
 
 
 def test_limits_only_ever_lower():
-    for name, value, field in (
-        ("steer_rate_limit", 2.0, "steer_rate"),
-        ("accel_limit", 3.0, "accel_max"),
-        ("accel_limit", 3.0, "decel_max"),
-    ):
+    for name, value, field in (("steer_rate_limit", 2.0, "steer_rate"),
+                               ("accel_limit", 3.0, "accel_max"),
+                               ("accel_limit", 3.0, "decel_max")):  # fmt: skip
         hook = EFFECTS[name].car
         assert getattr(hook(FLOAT, (value,), CAR, ORIGIN, 0.0), field) == value
         assert getattr(hook(FLOAT, (19.0,), CAR, ORIGIN, 0.0), field) == getattr(CAR, field)
@@ -263,19 +259,16 @@ def test_limits_only_ever_lower():
 
 
 # Effects by name: what a command line may say and what a wrong one reports.
-@pytest.mark.parametrize(
-    ("text", "found"),
-    [
-        ("steer_delay=0.03", [("steer_delay", (0.03,))]),
-        ("grip_patch=1,-2, 0.5,0.3", [("grip_patch", (1.0, -2.0, 0.5, 0.3, 0.0))]),
-        ("grip_patch:drop=0.3,x=2", [("grip_patch", (2.0, 0.0, 0.5, 0.3, 0.0))]),
-        ("floor_slope=0.01,0.02,backlash:play=0.02,mu=0.6",
-         [("floor_slope", (0.01, 0.02, 0.0)), ("steer_backlash", (0.02,)),
-          ("tyre_friction", (0.6, 0.0))]),
-        # A name that is a parameter too starts a new effect after plain values.
-        ("steer_gain=0.9,mass=0.5", [("steer_gain", (0.9,)), ("mass", (0.5, 1.0))]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "found"), [
+    ("steer_delay=0.03", [("steer_delay", (0.03,))]),
+    ("grip_patch=1,-2, 0.5,0.3", [("grip_patch", (1.0, -2.0, 0.5, 0.3, 0.0))]),
+    ("grip_patch:drop=0.3,x=2", [("grip_patch", (2.0, 0.0, 0.5, 0.3, 0.0))]),
+    ("floor_slope=0.01,0.02,backlash:play=0.02,mu=0.6",
+     [("floor_slope", (0.01, 0.02, 0.0)), ("steer_backlash", (0.02,)),
+      ("tyre_friction", (0.6, 0.0))]),
+    # A name that is a parameter too starts a new effect after plain values.
+    ("steer_gain=0.9,mass=0.5", [("steer_gain", (0.9,)), ("mass", (0.5, 1.0))]),
+])  # fmt: skip
 def test_effects_are_read_in_order_and_by_name(text, found):
     assert [(effect.name, values) for effect, values in parse_effects(text)] == found
 
@@ -287,16 +280,15 @@ def test_aliases_lead_to_effects_and_hide_none():
         assert find_effect(alias) is EFFECTS[name]
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [("steer_dely=0.03", "did you mean 'steer_delay'"), ("zzzz=1", "steerd effects"),
-     ("steer_delay", "NAME=VALUE"), ("", "NAME=VALUE"), ("steer_delay=", "must be a number"),
-     ("steer_delay=soon", "delay must be a number, not 'soon'"),
-     ("steer_delay=nan", "outside 0 to 0.3"), ("steer_delay=inf", "outside"),
-     ("steer_delay=3", "delay is 3 s, outside 0 to 0.3"),
-     ("steer_delay=0.1,0.2", "takes delay, not 2 values"),
-     ("steer_delay:lag=0.1", "takes delay, not 'lag'"), ("grip_patch:x=1,2", "NAME=VALUE")],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "says"), [
+    ("steer_dely=0.03", "did you mean 'steer_delay'"), ("zzzz=1", "steerd effects"),
+    ("steer_delay", "NAME=VALUE"), ("", "NAME=VALUE"), ("steer_delay=", "must be a number"),
+    ("steer_delay=soon", "delay must be a number, not 'soon'"),
+    ("steer_delay=nan", "outside 0 to 0.3"), ("steer_delay=inf", "outside"),
+    ("steer_delay=3", "delay is 3 s, outside 0 to 0.3"),
+    ("steer_delay=0.1,0.2", "takes delay, not 2 values"),
+    ("steer_delay:lag=0.1", "takes delay, not 'lag'"), ("grip_patch:x=1,2", "NAME=VALUE"),
+])  # fmt: skip
 def test_a_wrong_line_is_named_with_its_problem(text, says):
     with pytest.raises(ValueError, match=says.replace("(", r"\(")):
         parse_effects(text)

@@ -21,19 +21,7 @@ from steerd.car_model.native.build import BuildError, Compiler, compile_model, l
 from steerd.car_model.native.library import LibraryError, load_function, load_library, model_label
 from steerd.car_model.native.specialised import Range, specialise
 from steerd.car_model.native.threads import WORTHWHILE, share_out
-from steerd.car_model.native.windows import (
-    STATES,
-    HeldCommands,
-    Stations,
-    Windows,
-    compute_readings,
-    make_kernels,
-    make_window_blocks,
-    march,
-    march_back,
-    parameter_vector,
-    settle,
-)
+from steerd.car_model.native.windows import STATES, compute_readings, make_kernels, march
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.planar import CHASSIS, PLANAR
@@ -67,7 +55,7 @@ def _drive(model, speed):
     rows = np.stack([rng.uniform(-0.3, 0.3, STEPS), speed + rng.uniform(-0.3, 0.3, STEPS)], 1)
     first = np.zeros((COUNT, STATES + make_kernels(model.effects, model.chassis).memory))
     first[:, 2:4] = np.stack([rng.normal(size=COUNT), np.full(COUNT, speed)], 1)
-    return HeldCommands(rows, H), first
+    return windows.HeldCommands(rows, H), first
 
 
 @pytest.mark.parametrize("speed", [0.3, 1.5])
@@ -78,8 +66,8 @@ def test_a_drive_is_that_of_python_on_floats(effects, chassis, speed):
     held, first = _drive(model, speed)
     runs = np.tile(np.array([0, STEPS, 0]), (COUNT, 1))
     kernels = make_kernels(effects, chassis)
-    blocks = make_window_blocks(runs, np.zeros(COUNT))
-    path = march(kernels, parameter_vector(model), first, held, blocks, STEPS)
+    blocks = windows.make_window_blocks(runs, np.zeros(COUNT))
+    path = march(kernels, windows.parameter_vector(model), first, held, blocks, STEPS)
     orders = [Command(*row) for row in held.rows.tolist()]
     for w in (0, COUNT - 1):
         begin = start(model, State(*first[w, :STATES].tolist()), 0.0)
@@ -93,25 +81,27 @@ def _digest(effects, chassis):
     for speed in (0.3, 1.5):
         model = _model(effects, chassis)
         held, first = _drive(model, speed)
-        kernels, p = make_kernels(effects, chassis), parameter_vector(model)
+        kernels, p = make_kernels(effects, chassis), windows.parameter_vector(model)
         rng = np.random.default_rng(2)
         begin = 20 + np.arange(COUNT) % 3
         spans = np.column_stack([0 * begin, 0 * begin + STEPS, begin, 30 + begin % 3, begin % 2])
-        reading = Windows(spans, H * begin)
+        reading = windows.Windows(spans, H * begin)
         each = product(range(COUNT), range(30))
         places = [(k, 3 * (k % 2), w * 120 + 3 * k, 1 - k % 2) for w, k in each]
         shares, begins = rng.random(len(places)), 30 * np.arange(COUNT + 1)
-        at = Stations(np.array(places), shares, begins, 120 * COUNT)
+        at = windows.Stations(np.array(places), shares, begins, 120 * COUNT)
         seeds, dfirst = rng.normal(size=(len(p), N)), rng.normal(size=(STATES, N))
         y, jy = compute_readings(kernels, p, seeds, first[:, :STATES], dfirst, held, reading, at)
         seen_by = [r + np.arange(3 if pose else 1) for _, _, r, pose in places]
         rows = np.unique(np.concatenate(seen_by))
-        blocks = make_window_blocks(np.ascontiguousarray(spans[:, :3]), reading.t)
+        blocks = windows.make_window_blocks(np.ascontiguousarray(spans[:, :3]), reading.t)
         path = march(kernels, p, first, held, blocks, 30)
-        back = march_back(kernels, p, path, rng.normal(size=(COUNT, *path.shape[:2])), held, blocks)
+        pulls = rng.normal(size=(COUNT, *path.shape[:2]))
+        back = windows.march_back(kernels, p, path, pulls, held, blocks)
         assert np.isfinite(path).all()
         assert np.isfinite(jy[rows]).all()
-        for array in (y[rows], jy[rows], path, *back, settle(kernels, p, first, held, reading)):
+        settled = windows.settle(kernels, p, first, held, reading)
+        for array in (y[rows], jy[rows], path, *back, settled):
             seen.update(np.ascontiguousarray(array).tobytes())
         steps = make_steps.__wrapped__(model, 0.002)
         begun = (*first[0, :STATES].tolist(), *[0.0] * steps.memory)
@@ -158,11 +148,9 @@ Vectors of eight numbers take a compiler far longer where registers are short.
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("model", "levels"),
-    [(((), CHASSIS[0]), {"", OWN}), ((EVERY, PLANAR), {OWN})],
-    ids=["plain", "every"],
-)
+@pytest.mark.parametrize(("model", "levels"), [
+    (((), CHASSIS[0]), {"", OWN}), ((EVERY, PLANAR), {OWN}),
+], ids=["plain", "every"])  # fmt: skip
 def test_every_compiler_and_optimisation_gives_the_same_bits(model, levels, tmp_path, monkeypatch):
     expected, label = _digest(*model), model_label(*model)
     for (name, compiler), more, level in product(_compilers(), ("-O1", "-O3"), levels):
@@ -192,12 +180,13 @@ def test_a_car_is_the_same_in_whatever_order_its_effects_are_named():
     back = forth._replace(effects=EVERY[::-1], values=forth.values[::-1])
     held, first = _drive(forth, 1.5)
     begin, orders = State(*first[0, :STATES].tolist()), [Command(*r) for r in held.rows.tolist()]
-    blocks = make_window_blocks(np.tile(np.array([0, STEPS, 0]), (COUNT, 1)), np.zeros(COUNT))
+    runs = np.tile(np.array([0, STEPS, 0]), (COUNT, 1))
+    blocks = windows.make_window_blocks(runs, np.zeros(COUNT))
     driven, paths = [], []
     for model in (forth, back):
         moments = simulate(FLOAT, model, start(model, begin, 0.0), orders, H)
         driven.append([m.state for m in moments])
-        kernels, p = make_kernels(model.effects, PLANAR), parameter_vector(model)
+        kernels, p = make_kernels(model.effects, PLANAR), windows.parameter_vector(model)
         paths.append(march(kernels, p, first, held, blocks, STEPS))
     assert driven[0] == driven[1]
     np.testing.assert_array_equal(*paths)

@@ -72,16 +72,15 @@ def test_figure_eight_is_drivable_crosses_itself_at_the_origin_and_has_its_exten
     assert apart.max() == pytest.approx(4.0, abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("spec", "said"),
-    [("oval", "no path called 'oval'"), ("circle:radius", "not name=value"),
-     ("circle:radius=big", "give a number"), ("circle:radius=0", "circle:radius=2"),
-     ("circle:radius=nan", "circle:radius=2"), ("circle:dir=left", "dir=ccw"),
-     ("circle:size=2", "no option size"), ("line:length=-1", "line:length=20"),
-     ("line:length=inf", "line:length=20"), ("figure8:radius=1,size=2", "not both"),
-     ("figure8:radius=-1", "figure8:radius=1.5"), ("csv:", "which file"),
-     ("csv:/nowhere/at/all.csv", "No such file")],
-)  # fmt: skip
+@pytest.mark.parametrize(("spec", "said"), [
+    ("oval", "no path called 'oval'"), ("circle:radius", "not name=value"),
+    ("circle:radius=big", "give a number"), ("circle:radius=0", "circle:radius=2"),
+    ("circle:radius=nan", "circle:radius=2"), ("circle:dir=left", "dir=ccw"),
+    ("circle:size=2", "no option size"), ("line:length=-1", "line:length=20"),
+    ("line:length=inf", "line:length=20"), ("figure8:radius=1,size=2", "not both"),
+    ("figure8:radius=-1", "figure8:radius=1.5"), ("csv:", "which file"),
+    ("csv:/nowhere/at/all.csv", "No such file"),
+])  # fmt: skip
 def test_a_wrong_spec_says_what_is_wrong(spec: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         parse_path(spec)
@@ -139,12 +138,11 @@ def test_smoothing_calms_a_noisy_line() -> None:
     assert max(map(abs, calm.curvature)) < 0.5 * max(map(abs, rough.curvature))
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [("1,2\n3,4\n", "2 points"), ("1,2,3\n" * 9, "columns"), ("1,2\n" * 9, "do not move"),
-     ("0,0\n1,1\nx,2\n3,3\n4,4\n5,5", "line 3"), ("0,0\n1,1\n2,nan\n3,3\n4,4\n5,5", "not finite"),
-     ("", "0 points")],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "said"), [
+    ("1,2\n3,4\n", "2 points"), ("1,2,3\n" * 9, "columns"), ("1,2\n" * 9, "do not move"),
+    ("0,0\n1,1\nx,2\n3,3\n4,4\n5,5", "line 3"), ("0,0\n1,1\n2,nan\n3,3\n4,4\n5,5", "not finite"),
+    ("", "0 points"),
+])  # fmt: skip
 def test_a_useless_file_says_why(text: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         read_track(text, "bad.csv")
@@ -202,11 +200,10 @@ def test_interpolation_goes_round_and_holds_at_ends_and_angles_wrap() -> None:
     assert wrap_angle(7.0) == pytest.approx(7.0 - math.tau)
 
 
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [({"x": (0.0, 1.0)}, "at least 3"), ({"step": 0.0}, "positive step"),
-     ({"yaw": (0.0,)}, "differ in length"), ({"y": (0.0, math.nan, 0.0)}, "not finite")],
-)  # fmt: skip
+@pytest.mark.parametrize(("changes", "said"), [
+    ({"x": (0.0, 1.0)}, "at least 3"), ({"step": 0.0}, "positive step"),
+    ({"yaw": (0.0,)}, "differ in length"), ({"y": (0.0, math.nan, 0.0)}, "not finite"),
+])  # fmt: skip
 def test_a_broken_path_is_refused(changes: dict[str, object], said: str) -> None:
     zero = (0.0, 0.0, 0.0)
     fields: dict[str, object] = {

@@ -11,7 +11,6 @@ from IPython.lib import pretty
 import steerd
 from steerd.car_model.car_file import load_car
 from steerd.daemon.analysis.environment import OBSERVED
-from steerd.daemon.cli.main import run_cli
 
 pytestmark = pytest.mark.slow
 
@@ -27,9 +26,7 @@ def drive(tmp_path_factory):
     )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def fit(drive):
-    return steerd.identify(drive, free=FREE, held_out=3)
+fit = pytest.fixture(lambda drive: steerd.identify(drive, free=FREE, held_out=3), scope="module")
 
 
 @pytest.fixture(scope="module")
@@ -37,10 +34,9 @@ def gap(drive):
     return steerd.diagnose(drive, only=ONLY, pairs=False, closed_loop=False)
 
 
-def test_the_command_line_gives_the_same_numbers(drive, fit, capsys):
+def test_the_command_line_gives_the_same_numbers(drive, fit, cli):
     words = ["identify", str(drive.path), "--free", ",".join(FREE), "--held-out", "3"]
-    assert run_cli([*words, "--json", "-"]) == 0
-    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(fit.to_json()))
+    assert json.loads(cli(*words, "--json", "-").out) == json.loads(json.dumps(fit.to_json()))
 
 
 def test_parameters_have_values_errors_and_units(fit):
@@ -93,8 +89,6 @@ def test_a_cause_is_named_and_goes_into_the_car(gap):
 
 
 # The stepping environment: the same episode again, its ends, its errors.
-
-
 def follow(observation):
     """A lane keeper of one line."""
     e1, e2, curvature, *_ = observation

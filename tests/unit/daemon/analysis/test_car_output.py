@@ -62,7 +62,6 @@ def test_the_published_name_is_not_handed_on_and_a_name_of_ones_own_is():
 
 
 # A car file that began as F1TENTH's gets the wiring of the drives that it was learnt from.
-
 MINE = Path("mine.toml")
 OWN = BASE.text.replace("erpm_gain = 4614.0", "erpm_gain = -7300.0").replace('up = "y"', 'up = "z"')
 
@@ -107,7 +106,6 @@ def test_a_wiring_that_no_file_may_hold_loses_no_result(drive):
 
 
 # Noise is learnt where the car moves, as diagnose judges.
-
 NOISE = Noise((1e-3, 2e-3, 0.02, 0.03), (0.4, 0.3, 2.0))
 
 

@@ -87,8 +87,6 @@ def test_a_car_on_the_floor_has_no_known_truth():
 
 
 # Plans: what is refused before anything starts, and what the design may count on.
-
-
 def test_a_drills_box_becomes_the_fence_and_a_design_counts_on_the_limited_steering_only():
     settings = make(drill="mixed;open;speed=1;box=9").settings
     assert settings.thresholds.fence == parse_box("9").fence
@@ -99,8 +97,6 @@ def test_a_drills_box_becomes_the_fence_and_a_design_counts_on_the_limited_steer
 
 
 # What a session file says of its run: name, metadata, attachments.
-
-
 def test_a_session_is_named_by_date_car_and_run_in_the_right_folder(monkeypatch, tmp_path):
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
     path = session_meta.session_path(make().options, 1_700_000_000 * 10**9, 0x1_2345_6789)

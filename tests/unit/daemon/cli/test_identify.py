@@ -1,5 +1,7 @@
 """`steerd identify` on imported logs: good ones, and every kind that no fit should see."""
 
+import contextlib
+import io
 import json
 import signal
 import tomllib
@@ -10,7 +12,7 @@ import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.daemon.analysis.identification import Identification
+from steerd.daemon.analysis import identification
 from steerd.daemon.cli.main import run_cli as main
 from steerd.daemon.common.errors import SteerdError
 from steerd.steer_bus.session import SessionWriter
@@ -20,10 +22,7 @@ pytestmark = pytest.mark.slow
 
 TRUE = DEFAULT_CAR._replace(steer_gain=0.93, speed_lag=0.14, c_sf=4.3)
 
-
-@pytest.fixture(scope="module")
-def rows():
-    return make_noisy_rows(TRUE, 26.0, 0.9)
+rows = pytest.fixture(lambda: make_noisy_rows(TRUE, 26.0, 0.9), scope="module")
 
 
 @pytest.fixture(scope="module")
@@ -40,13 +39,22 @@ def _outputs(folder):
 FREE = ["--free", "c_sf,c_sr,steer_gain,steer_lag,speed_lag"]
 
 
-def test_a_drive_becomes_a_car_file_json_and_report(session, tmp_path, capsys):
-    capsys.readouterr()
-    given = ["--fix", "mass=3.2"]
-    assert main(["identify", str(session), *FREE, *given, *_outputs(tmp_path)]) == 0
-    screen = capsys.readouterr().out
+@pytest.fixture(scope="module")
+def fitted(session, tmp_path_factory):
+    """A folder with all that the command writes of a session, its screen, and what was fitted."""
+    folder, screen, found = tmp_path_factory.mktemp("fitted"), io.StringIO(), []
+    learn = identification.learn
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(screen):
+        patch.setattr(identification, "learn", lambda *of: found.append(learn(*of)) or found[0])
+        given = ["--fix", "mass=3.2"]
+        assert main(["identify", str(session), *FREE, *given, *_outputs(folder)]) == 0
+    return folder, screen.getvalue(), found[0]
+
+
+def test_a_drive_becomes_a_car_file_json_and_report(fitted):
+    folder, screen, _ = fitted
     assert "next        steerd run --sim --fast --duration 20 --car" in screen
-    car = load_car(tmp_path / "car.toml")
+    car = load_car(folder / "car.toml")
     assert not {"noise", "knowledge"} & tomllib.loads(car.text).keys()
     assert {"noise", "knowledge"} <= car.sections.keys()
     assert car.car.steer_gain == pytest.approx(TRUE.steer_gain, rel=0.02)
@@ -54,10 +62,10 @@ def test_a_drive_becomes_a_car_file_json_and_report(session, tmp_path, capsys):
     assert car.sd["steer_gain"] > 0.0
     assert "run.mcap" in car.source["steer_gain"]
     assert (car.car.mass, car.car.cog_height) == (3.2, DEFAULT_CAR.cog_height)
-    result = json.loads((tmp_path / "o.json").read_text())
+    result = json.loads((folder / "o.json").read_text())
     last = result["held_out"]["horizons"][-1]
     assert last["position"] < 0.5 * last["position_before"]
-    assert "<svg" in (tmp_path / "r.html").read_text()
+    assert "<svg" in (folder / "r.html").read_text()
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -80,11 +88,14 @@ def test_the_car_that_is_written_has_the_axles_that_were_fitted(fixed, session, 
     assert car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z * (0.33 / 0.3302) ** 2)
 
 
-def test_steering_of_the_wrong_sign_is_a_warning_before_the_fit(rows, tmp_path, capsys):
+def interrupted(*_):
+    signal.raise_signal(signal.SIGINT)
+
+
+def test_steering_of_the_wrong_sign_is_a_warning_before_the_fit(rows, tmp_path, monkeypatch, cli):
     session = import_log(tmp_path, rows * [1.0, 1.0, 1.0, 1.0, -1.0, 1.0])
-    capsys.readouterr()
-    main(["identify", str(session), "--free", "steer_lag"])
-    error = capsys.readouterr().err
+    monkeypatch.setattr(identification, "learn", interrupted)
+    error = cli("identify", session, "--free", "steer_lag", code=130).err
     assert "warning: run.mcap:" in error
     assert "left positive" in error
 
@@ -115,41 +126,38 @@ BAD = [(command, kind) for command in NOT_OF for kind in BROKEN if kind not in N
 
 
 @pytest.mark.parametrize(("command", "kind"), BAD)
-def test_bad_content_is_one_line_and_leaves_nothing(command, kind, rows, tmp_path, capsys):
+def test_bad_content_is_one_line_and_leaves_nothing(command, kind, rows, tmp_path, cli):
     spoil, words = BROKEN[kind]
     session = import_log(tmp_path, spoil(rows))
     before = set(tmp_path.iterdir())
-    capsys.readouterr()
-    assert main([command, str(session), *_outputs(tmp_path)]) == 4
-    error = capsys.readouterr().err
+    error = cli(command, session, *_outputs(tmp_path), code=4).err
     assert words in error
     assert error.count("\n") <= 2
     assert set(tmp_path.iterdir()) == before
 
 
-def test_of_a_folder_the_held_out_session_is_not_fitted(rows, tmp_path, capsys):
+def test_of_a_folder_the_held_out_session_is_not_fitted(rows, tmp_path, cli):
     halves = {"one": rows[:1500], "two": rows[1500:]}
     one, two = (import_log(tmp_path, half, name) for name, half in halves.items())
-    capsys.readouterr()
-    base = ["--base", str(default_car_path())]  # another spelling of --car
-    assert main(["identify", str(one), str(two), "--held-out", str(two), *FREE, *base]) == 0
-    screen = capsys.readouterr().out
+    base = ["--base", default_car_path()]  # another spelling of --car
+    screen = cli("identify", one, two, "--held-out", two, *FREE, *base).out
     assert "prediction  of two.mcap" in screen
     assert "two.mcap" not in screen.partition("prediction ")[0]
 
 
-def test_an_interrupt_leaves_what_is_on_the_screen(session, tmp_path, monkeypatch, capsys):
+def test_an_interrupt_leaves_what_is_on_the_screen(session, fitted, tmp_path, monkeypatch, capsys):
     out = tmp_path / "out"
     out.mkdir()
 
-    def interrupted(found, car):
+    def look(found, car):
         said = capsys.readouterr().out
         assert "steer_gain " in said
         assert str(out / "car.toml") in said
-        signal.raise_signal(signal.SIGINT)
+        interrupted()
 
     capsys.readouterr()
-    monkeypatch.setattr(Identification, "learn_known", interrupted)
+    monkeypatch.setattr(identification, "learn", lambda *_: fitted[2])
+    monkeypatch.setattr(identification.Identification, "learn_known", look)
     assert main(["identify", str(session), *FREE, *_outputs(out)]) == 130
     assert {path.name for path in out.iterdir()} == {"car.toml", "o.json", "r.html"}
     (line,) = capsys.readouterr().err.splitlines()
@@ -158,17 +166,13 @@ def test_an_interrupt_leaves_what_is_on_the_screen(session, tmp_path, monkeypatc
     assert "car.posterior.json is missing" in load_car(out / "car.toml").remark
 
 
-def test_an_interrupted_fit_says_that_nothing_is_written(session, tmp_path, monkeypatch, capsys):
-    def interrupted(task, clock):
-        signal.raise_signal(signal.SIGINT)
-
-    capsys.readouterr()
-    monkeypatch.setattr("steerd.daemon.analysis.identification.learn", interrupted)
-    assert main(["identify", str(session), "-o", str(tmp_path / "car.toml")]) == 130
-    assert capsys.readouterr().err == "interrupted: nothing is written\n"
+def test_an_interrupted_fit_says_that_nothing_is_written(session, tmp_path, monkeypatch, cli):
+    monkeypatch.setattr(identification, "learn", interrupted)
+    said = cli("identify", session, "-o", tmp_path / "car.toml", code=130).err
+    assert said == "interrupted: nothing is written\n"
 
 
-def test_a_value_where_no_car_is_spoils_the_car_file_alone(monkeypatch, tmp_path, capsys):
+def test_a_value_where_no_car_is_spoils_the_car_file_alone(monkeypatch, tmp_path, cli):
     def refuse(path):
         raise SteerdError(f"{path}: car.lf: expected a number >= 0.02", "lf = 0.15")
 
@@ -178,12 +182,10 @@ def test_a_value_where_no_car_is_spoils_the_car_file_alone(monkeypatch, tmp_path
     )  # fmt: skip
     session = tmp_path / "a.mcap"
     SessionWriter(session, {}, {}).finish({})
-    monkeypatch.setattr("steerd.daemon.analysis.identification.run_identify",
-                        lambda *_: found)  # fmt: skip
+    monkeypatch.setattr(identification, "run_identify", lambda *_: found)
     car, page = tmp_path / "car.toml", tmp_path / "page.html"
-    code = main(["identify", str(session), "-o", str(car), "--report", str(page)])
-    said = capsys.readouterr()
-    assert (code, said.out) == (5, "TABLE\n")
+    said = cli("identify", session, "-o", car, "--report", page, code=5)
+    assert said.out == "TABLE\n"
     assert f"{car} is not written: car.lf: expected a number >= 0.02" in said.err
     assert page.read_text() == "<html>"
     assert not car.exists()

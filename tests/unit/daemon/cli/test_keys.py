@@ -90,8 +90,7 @@ def test_people_are_added_and_the_car_s_list_is_new(lab):
     before = files(lab)
     assert keys(lab, "--operator", "ann", "--viewer", "tv") == ExitCode.OK
     after = load_lab(lab / "car1")
-    assert after.operators == ("desk", "tablet", "ann")
-    assert after.viewers == ("screen", "tv")
+    assert (after.operators, after.viewers) == (("desk", "tablet", "ann"), ("screen", "tv"))
     assert load_lab(lab / "ann").operators == after.operators
     changed = {p for p, data in files(lab).items() if before.get(p, data) != data}
     assert {str(p) for p in changed} == {"authority/lab.toml", "car1/lab.toml"}
@@ -133,12 +132,10 @@ def test_without_the_library_it_says_where_to_get_it(tmp_path, monkeypatch, caps
     (("--name", "car2"), "are for 'car1', not 'car2'"),
     (("--listen", "tcp/10.0.0.5:7447"), "--lab uses TLS"),
 ])  # fmt: skip
-def test_run_refuses_what_does_not_fit(lab, arguments, said, capsys):
-    assert run_cli(["run", "--sim", "--lab", str(lab / "car1"), *arguments]) == ExitCode.USAGE
-    assert said in capsys.readouterr().err
+def test_run_refuses_what_does_not_fit(lab, arguments, said, cli):
+    assert said in cli("run", "--sim", "--lab", lab / "car1", *arguments, code=ExitCode.USAGE).err
 
 
-def test_dialling_where_nobody_is_names_the_lab(lab, tmp_path, capsys):
+def test_dialling_where_nobody_is_names_the_lab(lab, tmp_path, cli):
     where = ["--connect", "tls/127.0.0.1:9", "--lab", str(lab / "desk")]
-    assert run_cli(["status", *where]) == ExitCode.UNREACHABLE
-    assert "of the same lab" in capsys.readouterr().err
+    assert "of the same lab" in cli("status", *where, code=ExitCode.UNREACHABLE).err

@@ -51,24 +51,22 @@ FAILURES = [
 
 
 @pytest.mark.parametrize(("raised", "code", "what", "last"), FAILURES, ids=lambda v: str(v)[:30])
-def test_what_goes_wrong_is_told_as_what_it_is(raised, code, what, last, monkeypatch, capsys):
+def test_what_goes_wrong_is_told_as_what_it_is(raised, code, what, last, monkeypatch, cli):
     def broken(args):
         raise raised
 
     monkeypatch.setattr(EFFECTS, broken)
-    assert run_cli(["effects"]) == code
-    assert capsys.readouterr().err.splitlines()[-2:] == [what, last]
+    assert cli("effects", code=code).err.splitlines()[-2:] == [what, last]
 
 
-def test_equations_that_were_not_compiled_are_a_line_with_the_command(monkeypatch, capsys):
+def test_equations_that_were_not_compiled_are_a_line_with_the_command(monkeypatch, cli):
     monkeypatch.setattr(EFFECTS, lambda args: load_library(Path("/none.so")))
-    assert run_cli(["effects"]) == ExitCode.UNREADABLE
-    (line,) = capsys.readouterr().err.splitlines()
+    (line,) = cli("effects", code=ExitCode.UNREADABLE).err.splitlines()
     assert line.startswith("steerd: the compiled equations")
     assert line.endswith("build them with: python -m steerd.car_model.native.build")
 
 
-def test_own_warnings_are_told_as_errors_are_and_others_with_their_place(monkeypatch, capsys):
+def test_own_warnings_are_told_as_errors_are_and_others_with_their_place(monkeypatch, cli):
     ours = type("Told", (UserWarning,), {"__module__": "steerd.somewhere"})
 
     def warned(args):
@@ -80,8 +78,7 @@ def test_own_warnings_are_told_as_errors_are_and_others_with_their_place(monkeyp
         return 0
 
     monkeypatch.setattr(EFFECTS, warned)
-    assert run_cli(["effects"]) == 0
-    first, second, *_ = capsys.readouterr().err.splitlines()
+    first, second, *_ = cli("effects").err.splitlines()
     assert first == "steerd: /srv/cache: full"
     assert "test_main.py" in second
     assert second.endswith("RuntimeWarning: of a library")
@@ -134,7 +131,6 @@ def test_help_shows_the_first_options_with_defaults_and_help_all_the_rest(capsys
 
 
 # The completion scripts; bash's is run as bash runs it.
-
 BASH = shutil.which("bash")
 
 
@@ -172,8 +168,7 @@ def test_bash_completes_commands_options_and_files_where_one_is_wanted(script, t
 @pytest.mark.parametrize(("shell", "part"), [
     ("zsh", "#compdef steerd"), ("tcsh", "complete steerd"), ("fish", "complete -c steerd"),
 ])  # fmt: skip
-def test_other_shells_get_their_own_script(shell, part, capsys):
-    assert run_cli(["completion", shell]) == 0
-    text = capsys.readouterr().out
+def test_other_shells_get_their_own_script(shell, part, cli):
+    text = cli("completion", shell).out
     assert part in text
     assert "rtcheck" in text

@@ -79,31 +79,25 @@ def bench(monkeypatch):
     return with_car
 
 
-@pytest.mark.parametrize(("name", "state"), [("arm", "READY"), ("start", "ARMED")])
-def test_a_car_with_a_deadman_is_not_armed_by_a_command_that_leaves(bench, capsys, name, state):
+@pytest.mark.parametrize(("line", "state", "code", "said"), [
+    *((line, state, 2, (f"{line}: this car has a deadman", "deadman = false"))
+      for line, state in (("arm --no-hold", "READY"), ("start --no-hold", "ARMED"))),
+    ("start", "READY", 5, ("the car is READY, not ARMED",)),
+])  # fmt: skip
+def test_what_is_not_for_this_car_is_said_and_not_sent(bench, cli, line, state, code, said):
     car = bench(state=state)
-    assert run_cli([name, "--no-hold"]) == 2
-    said = capsys.readouterr().err
-    assert f"{name} --no-hold: this car has a deadman" in said
-    assert "deadman = false" in said
+    heard = cli(*line.split(), code=code).err
+    assert all(words in heard for words in said)
     assert car.kinds() == []
 
 
 @pytest.mark.parametrize(("line", "state", "leased"), [
     ("arm --no-hold", "READY", "0"), ("stop", "RUNNING", "1"), ("estop", "RUNNING", "1"),
 ])  # fmt: skip
-def test_what_the_car_does_not_do_is_not_confirmed(bench, capsys, line, state, leased):
+def test_what_the_car_does_not_do_is_not_confirmed(bench, cli, line, state, leased):
     car = bench(state=state, leased=leased)
     car.deaf = 10_000
-    assert run_cli(line.split()) == 5
-    assert f"{line.split()[0]}: the car stays {state}" in capsys.readouterr().err
-
-
-def test_a_car_that_is_not_armed_is_not_started(bench, capsys):
-    car = bench()
-    assert run_cli(["start"]) == 5
-    assert "the car is READY, not ARMED" in capsys.readouterr().err
-    assert car.kinds() == []
+    assert f"{line.split()[0]}: the car stays {state}" in cli(*line.split(), code=5).err
 
 
 STOPPING = pytest.mark.parametrize("name", ["stop", "estop"])
@@ -131,12 +125,11 @@ def test_a_stop_is_repeated_every_20_ms_for_a_car_that_does_not_hear(bench, name
 
 @STOPPING
 @pytest.mark.parametrize("garbage", [b"", b"\0\1\0\0", b"\xff" * 400])
-def test_no_garbled_status_ends_a_stop(bench, capsys, name, garbage):
+def test_no_garbled_status_ends_a_stop(bench, cli, name, garbage):
     """A version mismatch is enough to make every message unreadable."""
     car = bench(state="RUNNING")
     car.garbles = {topics.STATE.name: garbage, topics.DIAGNOSTICS.name: garbage}
-    assert run_cli([name]) == 6
-    assert f"{name} was sent for 5 s, and no car 'car1' shows it" in capsys.readouterr().err
+    assert f"{name} was sent for 5 s, and no car 'car1' shows it" in cli(name, code=6).err
     assert len(car.asked) == pytest.approx(250, abs=2)
     assert car.state in (SupervisorState.STOPPING, SupervisorState.ESTOP)
 
@@ -147,11 +140,10 @@ def test_a_state_of_another_version_does_not_end_a_stop(bench, name):
     assert run_cli([name]) == 0, "the state alone confirms it"
 
 
-def test_nobody_there_is_said(bench, capsys):
+def test_nobody_there_is_said(bench, cli):
     car = bench()
     car.speaks = False
-    assert run_cli(["arm", "--no-hold"]) == 6
-    assert "no car 'car1' on the bus" in capsys.readouterr().err
+    assert "no car 'car1' on the bus" in cli("arm", "--no-hold", code=6).err
     assert run_cli(["estop"]) == 6
 
 

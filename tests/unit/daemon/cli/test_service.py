@@ -29,14 +29,12 @@ def home(tmp_path, monkeypatch):
     return tmp_path / "config" / "systemd" / "user" / "steerd.service"
 
 
-def test_install_print_uninstall(home, capsys, tmp_path, monkeypatch):
+def test_install_print_uninstall(home, cli, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "car.toml").write_text(default_car_path().read_text())
     assert run_cli(["keys", "lab", "--host", "localhost"]) == 0
     options = [*OPTIONS, "--car", "car.toml", "--lab", "lab/car1"]
-    capsys.readouterr()
-    assert run_cli(["service", "install", "--user", *options]) == 0
-    said = capsys.readouterr().out
+    said = cli("service", "install", "--user", *options).out
     assert "systemctl --user enable --now steerd" in said
     assert len(said.splitlines()) < 8
     unit = read(home.read_text())["Service"]
@@ -46,8 +44,7 @@ def test_install_print_uninstall(home, capsys, tmp_path, monkeypatch):
         sys.executable, "-m", "steerd", "run", *OPTIONS,
         "--car", str(tmp_path / "car.toml"), "--lab", str(tmp_path / "lab" / "car1"),
     ]  # fmt: skip
-    assert run_cli(["service", "print", *options]) == 0
-    assert capsys.readouterr().out == home.read_text()
+    assert cli("service", "print", *options).out == home.read_text()
     other = [*options, "--speed", "0.5"]
     assert run_cli(["service", "install", *other]) == 2
     assert run_cli(["service", "install", "--force", *other]) == 0
@@ -77,18 +74,16 @@ def test_systemd_finds_nothing_wrong(tmp_path):
     assert "steerd.service" not in done.stderr, done.stderr
 
 
-def test_a_unit_gives_no_rights_that_a_drive_does_not_need(monkeypatch, capsys):
+def test_a_unit_gives_no_rights_that_a_drive_does_not_need(monkeypatch, cli):
     monkeypatch.setenv("SUDO_USER", "driver")
     for whose, account in (("--user", None), ("--system", "driver")):
-        assert run_cli(["service", "print", whose, *OPTIONS]) == 0
-        unit = read(capsys.readouterr().out)["Service"]
+        unit = read(cli("service", "print", whose, *OPTIONS).out)["Service"]
         assert (unit["NoNewPrivileges"], unit["UMask"]) == ("yes", "0077")
         assert unit.get("User") == account
         assert unit.get("ProtectSystem") == (account and "full")
 
 
-def test_udev(capsys):
-    assert run_cli(["service", "udev"]) == 0
-    rule = capsys.readouterr().out.splitlines()[-1]
+def test_udev(cli):
+    rule = cli("service", "udev").out.splitlines()[-1]
     assert rule.startswith('SUBSYSTEM=="tty", ATTRS{idVendor}=="0483", ATTRS{idProduct}=="5740"')
     assert rule.endswith('MODE="0660", GROUP="dialout", SYMLINK+="vesc"')

@@ -40,8 +40,6 @@ def test_warnings_and_the_design_that_steers_have_lines_of_their_own(more, shown
 
 
 # A simulated drive that its own machine ends goes on in virtual time, and says so.
-
-
 @pytest.fixture
 def drive(monkeypatch):
     """Drive options whose real time ends with this reason; the plans driven in virtual time."""
@@ -81,8 +79,6 @@ def test_a_drive_that_ended_well_or_otherwise_is_driven_once(drive, reason, opti
 
 
 # A car file that a command wrote and `steerd run` would refuse is said to be so at once.
-
-
 @pytest.mark.parametrize(("more", "said"), [
     ("", ""), ("\n[effects.rolling_drag]\ndrag = 3.0\n", "behind its orders"),
     ("\n[limitss]\n", "limits"),

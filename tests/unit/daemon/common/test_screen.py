@@ -43,8 +43,6 @@ def test_control_characters_are_replaced_and_long_texts_cut():
 
 
 # The bar of a long command names its step on a terminal, and is silent elsewhere.
-
-
 def test_the_step_stands_beside_the_bar(monkeypatch):
     seen = io.StringIO()
     seen.isatty = lambda: True

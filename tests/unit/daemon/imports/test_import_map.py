@@ -97,8 +97,6 @@ def test_any_map_is_taken_or_refused_in_one_line(columns, session):
 
 
 # The session that an import writes: its name, its poses, and what breaks off.
-
-
 def test_the_output_s_name_is_checked(tmp_path):
     with pytest.raises(SteerdError) as caught:
         import_session.check_output(tmp_path / "a.bag")

@@ -88,11 +88,10 @@ def test_a_proposal_is_changed_line_by_line():
     }  # fmt: skip
 
 
-def test_a_csv_s_map_is_explained_and_the_steering_turned(tmp_path, monkeypatch, capsys):
+def test_a_csv_s_map_is_explained_and_the_steering_turned(tmp_path, monkeypatch, cli):
     source = write_csv(tmp_path / "run.csv", sign=-1.0)
     talk(monkeypatch, "car = blue", "")
-    assert run_cli(["import", "--ask", str(source)]) == 0
-    said = capsys.readouterr().out
+    said = cli("import", "--ask", source).out
     assert "to the left, 0° to the right" in said
     the_map = parse_map((tmp_path / "run.map.toml").read_text())
     assert the_map.columns["steer_cmd"].scale == pytest.approx(-np.pi / 180)
@@ -110,11 +109,10 @@ def test_without_a_yes_nothing_is_written(tmp_path, monkeypatch, lines):
 
 
 @pytest.mark.parametrize("kind", ["ros1", "mcap", "db3"])
-def test_the_topics_of_a_car_are_known_by_name(tmp_path, kind, capsys):
+def test_the_topics_of_a_car_are_known_by_name(tmp_path, kind, cli):
     path = write_bag(tmp_path / ("run.bag" if kind == "ros1" else "run"), kind, gain=4614.0)
     out = tmp_path / "out.mcap"
-    assert run_cli(["import", str(path), "-o", str(out)]) == 0
-    said = capsys.readouterr()
+    said = cli("import", path, "-o", out)
     assert "pose is /vrpn_mocap/car/pose, not /pf/viz/inferred_pose" in said.err
     assert "command is /ackermann_cmd, not /drive" in said.err
     session = open_session(out)
@@ -124,20 +122,17 @@ def test_the_topics_of_a_car_are_known_by_name(tmp_path, kind, capsys):
     assert "warning" not in said.err
 
 
-def test_the_sign_and_scale_of_a_foreign_vesc_are_doubted_and_can_be_stated(tmp_path, capsys):
+def test_the_sign_and_scale_of_a_foreign_vesc_are_doubted_and_can_be_stated(tmp_path, cli):
     path = write_bag(tmp_path / "run", "mcap")
-    assert run_cli(["import", str(path), "-o", str(tmp_path / "a.mcap")]) == 0
-    doubted = capsys.readouterr()
+    doubted = cli("import", path, "-o", tmp_path / "a.mcap")
     assert "-7300 ERPM per m/s" in doubted.err
     again = next(line for line in doubted.out.splitlines() if "again: " in line)
     assert f"next: steerd identify {tmp_path / 'a-erpm.mcap'}" in doubted.out
-    line = ["import", str(path), "--erpm-gain", "-7300", "-o", str(tmp_path / "b.mcap")]
-    assert run_cli(line) == 0
-    stated = capsys.readouterr()
+    stated = cli("import", path, "--erpm-gain", "-7300", "-o", tmp_path / "b.mcap")
     assert "ERPM" not in stated.err
     assert "again: " not in stated.out
-    assert run_cli(shlex.split(again.partition(": ")[2])[1:]) == 0
-    assert "ERPM" not in capsys.readouterr().err, "the line works as it stands"
+    typed = shlex.split(again.partition(": ")[2])
+    assert "ERPM" not in cli(*typed[1:]).err, "the line works as it stands"
     scaling = open_session(tmp_path / "b.mcap").info().metadata["steerd.scaling"]
     assert float(scaling["erpm_gain"]) == -7300.0
     run = read_run(open_session(tmp_path / "b.mcap"))
@@ -145,26 +140,24 @@ def test_the_sign_and_scale_of_a_foreign_vesc_are_doubted_and_can_be_stated(tmp_
     assert (run.servo_frame, run.speed_ramp) == (0.0, 0.0), "steerd never drove this VESC"
 
 
-def test_asked_for_a_bag_the_poses_say_what_the_erpm_mean(tmp_path, monkeypatch, capsys):
+def test_asked_for_a_bag_the_poses_say_what_the_erpm_mean(tmp_path, monkeypatch, cli):
     path = write_bag(tmp_path / "run", "mcap")
     talk(monkeypatch, "")
-    assert run_cli(["import", "--ask", str(path), "-o", str(tmp_path / "a.mcap")]) == 0
-    assert "motor     -7300 ERPM per m/s, by the poses" in capsys.readouterr().out
+    said = cli("import", "--ask", path, "-o", tmp_path / "a.mcap").out
+    assert "motor     -7300 ERPM per m/s, by the poses" in said
     assert parse_map((tmp_path / "a.map.toml").read_text()).vesc.erpm_gain == -7300.0
 
 
-def test_what_a_bag_lacks_is_said(tmp_path, capsys):
+def test_what_a_bag_lacks_is_said(tmp_path, cli):
     with Bag(tmp_path / "run", "mcap") as bag:
         for i in range(30):
             bag.drive("/drive", START + i * NS // 20, 0.1, 1.0)
-    assert run_cli(["import", str(tmp_path / "run"), "-o", str(tmp_path / "a.mcap")]) == 0
-    printed = capsys.readouterr()
+    printed = cli("import", tmp_path / "run", "-o", tmp_path / "a.mcap")
     assert "no pose: identify and diagnose need the car's track" in printed.err
     assert "no vesc: the wheels' speed is not known" in printed.err
     assert "next: steerd plot" in printed.out, "nothing to identify"
     whole = write_bag(tmp_path / "whole", "mcap")
-    assert run_cli(["import", str(whole), "-o", str(tmp_path / "b.mcap")]) == 0
-    assert "next: steerd identify" in capsys.readouterr().out
+    assert "next: steerd identify" in cli("import", whole, "-o", tmp_path / "b.mcap").out
 
 
 @pytest.mark.parametrize(("role", "topics", "best"), [

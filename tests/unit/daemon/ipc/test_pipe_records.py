@@ -82,8 +82,6 @@ def test_a_reader_that_is_gone_costs_one_write_and_no_exception(pipe):
 
 
 # The core's way out: order, numbers, and a message that cannot be encoded.
-
-
 def tick(seq):
     return Tick(make_header(0, BODY), 0, 0, 0, seq, 0)
 

@@ -107,8 +107,6 @@ def test_a_holder_started_in_the_background_can_be_interrupted(number):
 
 
 # Notices to a service manager: they arrive, never block, and need no manager.
-
-
 @pytest.mark.parametrize("abstract", [False, True])
 def test_notifications_arrive_and_never_block(tmp_path, abstract):
     name = f"@steerd-test-{tmp_path.name}" if abstract else str(tmp_path / "notify")

@@ -20,15 +20,8 @@ from steerd.steer_bus import messages as m
 
 ABOUT = About("car1", "ab" * 32, "1.0", 'a "wet" one.mcap')
 
-
-@pytest.fixture
-def report(make_report, make_change):
-    return make_report("named", make_change())
-
-
-@pytest.fixture
-def page(report):
-    return format_kept(ABOUT, report)
+report = pytest.fixture(lambda make_report, make_change: make_report("named", make_change()))
+page = pytest.fixture(lambda report: format_kept(ABOUT, report))
 
 
 def test_a_page_comes_back_as_it_was(page, report):
@@ -128,8 +121,6 @@ def test_a_page_that_cannot_be_written_is_said_once(report, tmp_path, capsys):
 
 
 # What a run's learner begins with: the page beside its car file, if it is this car's.
-
-
 @pytest.fixture
 def plan(tmp_path):
     """A run on a car, its file in a folder of its own."""

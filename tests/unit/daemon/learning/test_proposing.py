@@ -42,9 +42,7 @@ class Proposer(Proposals):
         return decode(m.Design, data)
 
 
-@pytest.fixture
-def at():
-    return Proposer()
+at = pytest.fixture(lambda: Proposer())
 
 
 def test_in_doubt_or_for_the_car_of_the_file_the_reason_is_proposed(at, aims):
@@ -78,7 +76,6 @@ def test_after_a_refusal_it_pauses_and_begins_at_the_files(at, aims):
 
 
 # Messages of a drive as samples of the learner.
-
 EPOCH = 1_700_000_000_000_000_000
 WIRING = Wiring(EPOCH, Scaling(4000.0, 100.0))
 

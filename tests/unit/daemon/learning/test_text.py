@@ -68,8 +68,6 @@ def test_numbers_have_the_digits_of_their_error(value, sd, shown):
 
 
 # Where people look: the dashboard, `steerd status`, and what the gateway answers.
-
-
 def record(report):
     return PipeRecord(topics.MODEL, 0, 1, 1, encode(report))
 

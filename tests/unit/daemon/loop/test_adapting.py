@@ -23,15 +23,8 @@ OFF_LANE = AT._replace(y=AT.y + 0.4)
 NOW, TICK = 50_000_000_000, 10_000_000
 DESIGN = {"steer_gain": 0.9, "steer_bias": 0.02, "steer_delay": 0.05}
 
-
-@pytest.fixture(scope="module")
-def held():
-    return standard()
-
-
-@pytest.fixture(scope="module")
-def design(held):
-    return design_for(held, **DESIGN)
+held = pytest.fixture(lambda: standard(), scope="module")
+design = pytest.fixture(lambda held: design_for(held, **DESIGN), scope="module")
 
 
 @pytest.fixture(scope="module")
@@ -105,11 +98,10 @@ def test_a_silent_learner_is_not_followed(held, design):
     assert now.follows
 
 
-@pytest.mark.parametrize(
-    ("change", "why"),
-    [({"driving": False}, a.DRIVE_ENDED), ({"live": AS_DESIGNED._replace(gain=1.2)}, a.TUNED),
-     ({"seen": OFF_LANE}, a.FAR)],
-)  # fmt: skip
+@pytest.mark.parametrize(("change", "why"), [
+    ({"driving": False}, a.DRIVE_ENDED), ({"live": AS_DESIGNED._replace(gain=1.2)}, a.TUNED),
+    ({"seen": OFF_LANE}, a.FAR),
+])  # fmt: skip
 def test_what_brings_the_files_design_back(held, design, change, why):
     _, _, memory, now = following(held, design)
     *_, now = drive(now, 2, memory, 300 * MS, **change)
@@ -165,9 +157,7 @@ def test_past_references_fit_the_design(held, design):
 # Proposals at the desk, which checks them piece by piece.
 
 
-@pytest.fixture(scope="module")
-def near(held):
-    return design_for(held, steer_gain=0.98)
+near = pytest.fixture(lambda held: design_for(held, steer_gain=0.98), scope="module")
 
 
 class Bench:
@@ -274,11 +264,10 @@ def test_a_check_against_what_is_no_longer_in_force_counts_for_nothing(followed,
     assert not followed.now.follows
 
 
-@pytest.mark.parametrize(
-    ("columns", "gains"),
-    [(0, b""), (10, b""), (10, b"\0" * 79), (8, b"\0" * 64), (121, b"\0" * 968),
-     (10, b"\0" * 80 * 401)],
-)  # fmt: skip
+@pytest.mark.parametrize(("columns", "gains"), [
+    (0, b""), (10, b""), (10, b"\0" * 79), (8, b"\0" * 64), (121, b"\0" * 968),
+    (10, b"\0" * 80 * 401),
+])  # fmt: skip
 def test_what_is_no_table_is_refused(columns, gains):
     car = Learnt(*(0.0,) * len(Learnt._fields))
     message = m.Design(m.make_header(0, m.BODY), 0, 1, columns, *car, 0.1, 0.25, "", gains)

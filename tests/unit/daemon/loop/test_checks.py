@@ -54,14 +54,11 @@ def fails(plan, findings=(), flags=Flag.LINKED, last=None, **now):
     return list(find_failures(plan, GOOD, remote, now, findings, flags, estimated=True))
 
 
-@pytest.mark.parametrize(
-    ("e1", "e2", "said"),
-    [
-        (TH.lateral_warn, TH.heading_warn, None), (0.25, 0.0, "0.25 m left of the path"),
-        (-0.25, 0.0, "0.25 m right of the path"), (nan, 0.0, "of the path"),
-        (0.0, -1.0, "points -57° off the path"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("e1", "e2", "said"), [
+    (TH.lateral_warn, TH.heading_warn, None), (0.25, 0.0, "0.25 m left of the path"),
+    (-0.25, 0.0, "0.25 m right of the path"), (nan, 0.0, "of the path"),
+    (0.0, -1.0, "points -57° off the path"),
+])  # fmt: skip
 def test_the_car_must_stand_in_its_lane(e1, e2, said):
     found = list(check_lane(e1, e2, TH))
     assert len(found) == (said is not None)
@@ -89,7 +86,6 @@ def test_a_car_that_moves_or_may_move_fails(plan, speed, count):
 
 
 # The launch window.
-
 WHEELBASE = 0.33
 
 
@@ -119,18 +115,15 @@ def test_a_good_launch_ends_after_half_a_metre(steer, yaw0):
     assert travelled == pytest.approx(0.5, abs=0.006)
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        *(({"scale": scale}, "units") for scale in (0.001, 1000.0, 0.0, 0.69, 1.42)),
-        ({"erpm": 0.0}, "units"),  # wheels that do not count
-        *(({"flip": flip}, "body forward axis") for flip in (pi, pi / 2, -0.55, 0.55)),
-        ({"flip": 0.5}, ""), ({"flip": -0.5}, ""),
-        *(({"steer": steer, "turn": -1.0}, "against its steering") for steer in (0.2, -0.2)),
-        # A reversing car is judged in its own direction.
-        ({"speed": -0.5}, ""), ({"speed": -0.5, "flip": pi}, "body forward axis"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("given", "said"), [
+    *(({"scale": scale}, "units") for scale in (0.001, 1000.0, 0.0, 0.69, 1.42)),
+    ({"erpm": 0.0}, "units"),  # wheels that do not count
+    *(({"flip": flip}, "body forward axis") for flip in (pi, pi / 2, -0.55, 0.55)),
+    ({"flip": 0.5}, ""), ({"flip": -0.5}, ""),
+    *(({"steer": steer, "turn": -1.0}, "against its steering") for steer in (0.2, -0.2)),
+    # A reversing car is judged in its own direction.
+    ({"speed": -0.5}, ""), ({"speed": -0.5, "flip": pi}, "body forward axis"),
+])  # fmt: skip
 def test_a_launch_finds_what_is_wrong_and_is_done_otherwise(given, said):
     wrong, travelled, done = launch(**given)
     assert said in wrong

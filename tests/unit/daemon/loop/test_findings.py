@@ -31,16 +31,13 @@ def test_every_watchdog_of_the_page_exists_with_advice():
         make_finding("W99", "")
 
 
-@pytest.mark.parametrize(
-    ("name", "id", "text"),
-    [
-        ("mocap_age", "W1", "no good frame yet"), ("telemetry_age", "W7", "no reply yet"),
-        ("sigma_position", "W6", "no estimate yet"), ("sigma_yaw", "W6", "no estimate yet"),
-        ("fet_temperature", "W14", "the transistors' temperature is not known yet"),
-        ("lateral_error", "W17", "no lane error"), ("heading_error", "W18", "no heading error"),
-        ("lease_age", "W25", "no operator yet"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "id", "text"), [
+    ("mocap_age", "W1", "no good frame yet"), ("telemetry_age", "W7", "no reply yet"),
+    ("sigma_position", "W6", "no estimate yet"), ("sigma_yaw", "W6", "no estimate yet"),
+    ("fet_temperature", "W14", "the transistors' temperature is not known yet"),
+    ("lateral_error", "W17", "no lane error"), ("heading_error", "W18", "no heading error"),
+    ("lease_age", "W25", "no operator yet"),
+])  # fmt: skip
 @pytest.mark.parametrize("value", [inf, nan])
 def test_a_number_that_is_not_known_trips_and_is_not_shown(name, id, text, value):
     (found,) = look(Thresholds(), **{name: value})
@@ -71,7 +68,6 @@ def test_advice_in_simulation_is_about_the_simulation():
 
 
 # W15 over due and wake times: each rule at its edge, and what a car file may tighten.
-
 MS, PERIOD = 1_000_000, 10_000_000
 
 
@@ -92,16 +88,13 @@ def test_the_rules_are_the_thresholds():
     assert fs.make_lateness_rules(replace(Thresholds(), late=0.0125)).late_ns == 12_500_000
 
 
-@pytest.mark.parametrize(
-    ("late_ms", "severity", "expected"),
-    [
-        ([10.1], Severity.WARN, "10.1 ms"), ([25], Severity.WARN, "25.0 ms"),
-        ([25.001], Severity.HARD, "a tick 25 ms late"),
-        ([1499.6], Severity.HARD, "a tick 1500 ms late"),
-        ([12, 12, 12], Severity.HARD, "3 ticks in a row missed"),
-        ([12, 0, 12, 0, 12], Severity.HARD, "3 of 100 ticks missed"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("late_ms", "severity", "expected"), [
+    ([10.1], Severity.WARN, "10.1 ms"), ([25], Severity.WARN, "25.0 ms"),
+    ([25.001], Severity.HARD, "a tick 25 ms late"),
+    ([1499.6], Severity.HARD, "a tick 1500 ms late"),
+    ([12, 12, 12], Severity.HARD, "3 ticks in a row missed"),
+    ([12, 0, 12, 0, 12], Severity.HARD, "3 of 100 ticks missed"),
+])  # fmt: skip
 def test_a_late_tick_warns_or_trips_and_says_why(late_ms, severity, expected):
     said, state = run(late_ms[:-1])
     assert Severity.HARD not in said
@@ -130,11 +123,10 @@ def test_a_row_of_missed_ticks_ends_and_the_next_second_begins_anew():
     assert (said[-1], state.missed) == (Severity.WARN, 1)
 
 
-@pytest.mark.parametrize(
-    ("name", "stricter", "late_ms", "laxer"),
-    [("late", 0.015, [15.1], 0.026), ("late_run", 2, [12, 12], 4),
-     ("late_share", 0.0, [12, 0, 12], 0.03)],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "stricter", "late_ms", "laxer"), [
+    ("late", 0.015, [15.1], 0.026), ("late_run", 2, [12, 12], 4),
+    ("late_share", 0.0, [12, 0, 12], 0.03),
+])  # fmt: skip
 def test_a_car_file_may_be_stricter_and_never_laxer(name, stricter, late_ms, laxer):
     strict = fs.make_lateness_rules(replace(Thresholds(), **{name: stricter}))
     assert run(late_ms)[0][-1] is Severity.WARN

@@ -48,10 +48,9 @@ def go(orders, until_ms, model=None, step_ms=10, speed=1.0, start=0.0):
     return state
 
 
-@pytest.mark.parametrize(
-    ("speed", "span"), [(0.0, 0.0625), (2.0, 0.0625), (-2.0, 0.0625), (4.0, 0.03125),
-                        (-4.0, 0.03125), (nan, 0.0625)],
-)  # fmt: skip
+@pytest.mark.parametrize(("speed", "span"), [
+    (0.0, 0.0625), (2.0, 0.0625), (-2.0, 0.0625), (4.0, 0.03125), (-4.0, 0.03125), (nan, 0.0625),
+])  # fmt: skip
 def test_an_order_may_be_missed_for_a_time_and_for_a_distance(speed, span):
     assert fo.follow_span(TH, speed) == span
 
@@ -66,8 +65,7 @@ def test_ranges_of_an_identified_car():
     assert m.servo.slew == m.servo.fall == near(1.6, 2.4)
     assert m.servo.delay == near(0.04, 0.06 + LATE_S)
     assert m.gain == near(0.8, 1.2)
-    assert m.left == near(0.32, 0.48)
-    assert m.right == near(-0.36, -0.24)
+    assert (m.left, m.right) == (near(0.32, 0.48), near(-0.36, -0.24))
     together = 0.2 * (sqrt(2.0) - 1.0)
     assert m.base == near(0.4 * (1.0 - together), 0.4 * (1.0 + together))
     assert m.bias == 0.0
@@ -107,8 +105,7 @@ def test_what_was_never_identified_may_be_off_by_a_factor(model):
 
 def test_a_large_standard_error_widens_the_range_and_noise_never_switches_it_off():
     m = make_follow_model(CAR, {**KNOWN, "speed_lag": 0.02, "steer_lag": 0.05}, FilterConfig(), TH)
-    assert m.drive.lag == near(0.14, 0.26)
-    assert m.servo.lag == near(0.0, 0.25)
+    assert (m.drive.lag, m.servo.lag) == (near(0.14, 0.26), near(0.0, 0.25))
     loud = FilterConfig(wheel_speed_sd=10.0, pose_yaw_sd=1.0)
     m = make_follow_model(CAR, KNOWN, loud, TH)
     assert (m.speed_margin, m.turn_margin) == (fm.SPEED_MARGIN_MAX, fm.TURN_MARGIN_MAX)
@@ -134,12 +131,10 @@ def test_the_first_order_starts_at_the_measured_speed_with_the_steering_anywhere
     assert state.curvature == near(tan(-0.36 - 0.02) / short, tan(0.48 + 0.02) / short)
 
 
-@pytest.mark.parametrize(
-    ("bias", "wish", "band"),
-    [(0.0, 0.1, (0.08, 0.12)), (0.0, 0.5, (0.32, 0.48)), (0.0, -0.5, (-0.36, -0.24)),
-     (0.05, -0.1, (-0.07, -0.03))],
-    ids=["gain", "left end stop", "right end stop", "bias"],
-)  # fmt: skip
+@pytest.mark.parametrize(("bias", "wish", "band"), [
+    (0.0, 0.1, (0.08, 0.12)), (0.0, 0.5, (0.32, 0.48)), (0.0, -0.5, (-0.36, -0.24)),
+    (0.05, -0.1, (-0.07, -0.03)),
+], ids=["gain", "left end stop", "right end stop", "bias"])  # fmt: skip
 def test_both_ends_come_to_rest_on_the_order(bias, wish, band):
     model = make_follow_model(CAR._replace(steer_bias=bias), KNOWN, FilterConfig(), TH)
     state = go({0: Command(wish, 1.0)}, 4000, model)
@@ -148,19 +143,16 @@ def test_both_ends_come_to_rest_on_the_order(bias, wish, band):
     assert len(state.orders) == 1
 
 
-@pytest.mark.parametrize(
-    ("first", "then", "until_ms", "step_ms", "low", "high"),
-    [
-        (3.0, None, 300, 10, 3.2 * (0.3 - 0.132), 4.8 * 0.23),
-        (3.0, 1.0, 4400, 10, 3.0 - 3.6 * (0.4 - 0.08), 3.0 - 2.4 * (0.4 - 0.132 - 0.01)),
-        (1.0, 0.7, 4200, 2, 1.0 - 0.3 * (1.0 - exp(-0.12 / 0.16)),
-         1.0 - 0.3 * (1.0 - exp(-0.068 / 0.24))),
-        (2.0, 0.29, 8000, 10, 0.0, 2.0),
-        (2.0, 0.3, 9000, 10, 0.3, 0.3),
-    ],
-    ids=["slew limits", "a fall has its own", "0.3 m/s over 0.16 s is below them: the lag",
-         "below 0.3 m/s a VESC lets go: it may stand at once or coast for ever", "0.3 m/s"],
-)  # fmt: skip
+@pytest.mark.parametrize(("first", "then", "until_ms", "step_ms", "low", "high"), [
+    (3.0, None, 300, 10, 3.2 * (0.3 - 0.132), 4.8 * 0.23),
+    (3.0, 1.0, 4400, 10, 3.0 - 3.6 * (0.4 - 0.08), 3.0 - 2.4 * (0.4 - 0.132 - 0.01)),
+    (1.0, 0.7, 4200, 2, 1.0 - 0.3 * (1.0 - exp(-0.12 / 0.16)),
+     1.0 - 0.3 * (1.0 - exp(-0.068 / 0.24))),
+    (2.0, 0.29, 8000, 10, 0.0, 2.0),
+    (2.0, 0.3, 9000, 10, 0.3, 0.3),
+], ids=["slew limits", "a fall has its own", "0.3 m/s over 0.16 s is below them: the lag",
+        "below 0.3 m/s a VESC lets go: it may stand at once or coast for ever",
+        "0.3 m/s"])  # fmt: skip
 def test_speeds_after_a_change(first, then, until_ms, step_ms, low, high):
     orders = {0: Command(0.0, first)} | ({4000: Command(0.0, then)} if then else {})
     band = go(orders, until_ms, step_ms=step_ms).trail[-1].speed

@@ -22,35 +22,29 @@ def command(seq=1, boot=BOOT, who=ANN, valid_ms=100, steer=0.1):
     return DriveCommand(make_header(0, BODY), boot, who, 0, seq, valid_ms, steer, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("kind", "request_"),
-    [
-        (RequestKind.ARM, Fact.ARM), (RequestKind.START, Fact.START),
-        (RequestKind.STOP, Fact.STOP), (RequestKind.DISARM, Fact.DISARM),
-        (RequestKind.CLEAR, Fact.CLEAR | Fact.RESET), (RequestKind.ESTOP, Fact.CALL_ESTOP),
-        (RequestKind.KEEPALIVE, 0),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("kind", "request_"), [
+    (RequestKind.ARM, Fact.ARM), (RequestKind.START, Fact.START),
+    (RequestKind.STOP, Fact.STOP), (RequestKind.DISARM, Fact.DISARM),
+    (RequestKind.CLEAR, Fact.CLEAR | Fact.RESET), (RequestKind.ESTOP, Fact.CALL_ESTOP),
+    (RequestKind.KEEPALIVE, 0),
+])  # fmt: skip
 def test_the_holder_s_requests_pass_and_renew(kind, request_):
     lease, got = accept_request(HELD, ask(kind), T0 + 5, idle=False)
     assert got == request_
     assert lease == Lease(BOOT, ANN, 11, T0 + 5)
 
 
-@pytest.mark.parametrize(
-    ("lease", "request_", "got"),
-    [
-        *((HELD, other, 0) for other in (
-            ask(seq=10), ask(seq=9), ask(boot=BOOT + 1), ask(who=BOB), ask(who=0),
-            ask(who=BOB, boot=BOOT + 1))),
-        *((Lease(BOOT), ask(kind, who=0), 0) for kind in (
-            RequestKind.ARM, RequestKind.CLEAR, RequestKind.KEEPALIVE)),
-        *((HELD, ask(kind, **other), asked) for kind, asked in (
-            (RequestKind.STOP, Fact.STOP), (RequestKind.ESTOP, Fact.CALL_ESTOP))
-          for other in ({"who": BOB}, {"seq": 1}, {"boot": 0}, {"who": 0})),
-        *((HELD, ask(kind), Fact.UNKNOWN) for kind in (99, 255, -1)),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("lease", "request_", "got"), [
+    *((HELD, other, 0) for other in (
+        ask(seq=10), ask(seq=9), ask(boot=BOOT + 1), ask(who=BOB), ask(who=0),
+        ask(who=BOB, boot=BOOT + 1))),
+    *((Lease(BOOT), ask(kind, who=0), 0) for kind in (
+        RequestKind.ARM, RequestKind.CLEAR, RequestKind.KEEPALIVE)),
+    *((HELD, ask(kind, **other), asked) for kind, asked in (
+        (RequestKind.STOP, Fact.STOP), (RequestKind.ESTOP, Fact.CALL_ESTOP))
+      for other in ({"who": BOB}, {"seq": 1}, {"boot": 0}, {"who": 0})),
+    *((HELD, ask(kind), Fact.UNKNOWN) for kind in (99, 255, -1)),
+])  # fmt: skip
 def test_whoever_does_not_hold_the_car_changes_nothing_but_may_stop_it(lease, request_, got):
     assert accept_request(lease, request_, T0 + 5, idle=False) == (lease, got)
 
@@ -111,14 +105,10 @@ def test_the_first_command_brings_its_holder_who_is_somebody():
     assert take_command(driven(), command(7), T0) == TAKEN
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [
-        command(7), command(6), command(8, boot=1), command(8, who=BOB), command(8, who=0),
-        command(8, valid_ms=0), command(8, valid_ms=301),
-    ],
-    ids=["again", "older", "another run", "another", "nobody", "no time", "too long"],
-)  # fmt: skip
+@pytest.mark.parametrize("bad", [
+    command(7), command(6), command(8, boot=1), command(8, who=BOB), command(8, who=0),
+    command(8, valid_ms=0), command(8, valid_ms=301),
+], ids=["again", "older", "another run", "another", "nobody", "no time", "too long"])  # fmt: skip
 def test_commands_that_are_refused_leave_the_last(bad):
     assert take_command(TAKEN, bad, T0 + 1) == TAKEN
 

@@ -42,17 +42,14 @@ def test_the_bounds_themselves_are_allowed(edge):
     assert take_request(LIVE, ask(*edge), admitted=True).aim == edge
 
 
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"speed": 1.51}, "speed 1.51 m/s, allowed 0.25 to 1.5 m/s: the run was started"),
-        *(({"speed": speed}, f"speed {speed:g} m/s") for speed in (0.0, -1.0, inf)),
-        ({"offset": 0.126}, "offset 0.126 m, allowed -0.125 to 0.125 m"),
-        ({"offset": -inf}, "offset -inf m"),
-        ({"gain": 1.26}, "gain 1.26, allowed 0.5 to 1.25: the closed loop was checked"),
-        ({"gain": 0.0}, "gain 0"), ({"speed": 1.0, "gain": 9.0}, "gain 9"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("wrong", "said"), [
+    ({"speed": 1.51}, "speed 1.51 m/s, allowed 0.25 to 1.5 m/s: the run was started"),
+    *(({"speed": speed}, f"speed {speed:g} m/s") for speed in (0.0, -1.0, inf)),
+    ({"offset": 0.126}, "offset 0.126 m, allowed -0.125 to 0.125 m"),
+    ({"offset": -inf}, "offset -inf m"),
+    ({"gain": 1.26}, "gain 1.26, allowed 0.5 to 1.25: the closed loop was checked"),
+    ({"gain": 0.0}, "gain 0"), ({"speed": 1.0, "gain": 9.0}, "gain 9"),
+])  # fmt: skip
 def test_a_value_out_of_bounds_is_refused_with_its_reason_and_all_others_with_it(wrong, said):
     live = take_request(LIVE, ask(**wrong), admitted=True)
     assert (live.aim, live.accepted) == (LIVE.aim, False)
@@ -60,14 +57,10 @@ def test_a_value_out_of_bounds_is_refused_with_its_reason_and_all_others_with_it
     assert said in live.text
 
 
-@pytest.mark.parametrize(
-    ("before", "admitted", "aim", "said"),
-    [
-        (make_live(None), True, AS_DESIGNED, "not the lane keeper alone"),
-        (LIVE, False, LIVE.aim, "somebody else holds this car"),
-    ],
-    ids=["something else drives", "somebody else holds the car"],
-)
+@pytest.mark.parametrize(("before", "admitted", "aim", "said"), [
+    (make_live(None), True, AS_DESIGNED, "not the lane keeper alone"),
+    (LIVE, False, LIVE.aim, "somebody else holds this car"),
+], ids=["something else drives", "somebody else holds the car"])  # fmt: skip
 def test_who_may_not_sets_nothing(before, admitted, aim, said):
     live = take_request(before, ask(speed=1.0), admitted=admitted)
     assert (live.aim, live.accepted) == (aim, False)
@@ -83,10 +76,9 @@ def test_a_moving_car_comes_to_its_values_gradually_and_a_parked_one_has_them():
     assert lv.step_live(live, 10**9, parked=True).now == live.aim
 
 
-@pytest.mark.parametrize(
-    ("e1", "offset", "judged"),
-    [(0.1, 0.0, 0.1), (0.2, 0.1, 0.3), (-0.2, 0.1, -0.2), (-0.04, 0.1, 0.06), (0.0, -0.1, -0.1)],
-)
+@pytest.mark.parametrize(("e1", "offset", "judged"), [
+    (0.1, 0.0, 0.1), (0.2, 0.1, 0.3), (-0.2, 0.1, -0.2), (-0.04, 0.1, 0.06), (0.0, -0.1, -0.1),
+])  # fmt: skip
 def test_watchdogs_judge_the_larger_of_both_errors(e1, offset, judged):
     report = lv.judge_both_lanes(SEEN._replace(e1=e1), LiveValues(1.0, offset, 1.0))
     assert report.e1 == pytest.approx(judged)

@@ -58,14 +58,11 @@ def test_a_transition_names_both_states_and_the_reason():
     assert (made.code, made.text) == ("running_estop", "W10 pressed")
 
 
-@pytest.mark.parametrize(
-    ("state", "warned", "level"),
-    [
-        (SupervisorState.RUNNING, False, 0), (SupervisorState.RUNNING, True, 1),
-        (SupervisorState.FAULT_STOP, True, 2), (SupervisorState.FAULT_LATCHED, False, 2),
-        (SupervisorState.ESTOP, False, 2),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("state", "warned", "level"), [
+    (SupervisorState.RUNNING, False, 0), (SupervisorState.RUNNING, True, 1),
+    (SupervisorState.FAULT_STOP, True, 2), (SupervisorState.FAULT_LATCHED, False, 2),
+    (SupervisorState.ESTOP, False, 2),
+])  # fmt: skip
 def test_diagnostics_have_a_level_and_the_supervisors_values(state, warned, level):
     memory = changed(MEMORY, state=state, reason="why")
     findings = [fs.make_finding("W7", "60 ms", fs.Severity.WARN)] if warned else []
@@ -80,7 +77,6 @@ def test_diagnostics_have_a_level_and_the_supervisors_values(state, warned, leve
 
 
 # Orders: each motor output with its current, the limiter on every angle, a missing wish brakes.
-
 BRAKES = BrakeSettings()
 LIMITS = Limits(wheelbase=0.33)
 SETTINGS = Mock(limits=LIMITS, brakes=BRAKES, scaling=F1TENTH)
@@ -102,16 +98,13 @@ def order(motor, steering=SteeringOutput.LIVE, wish=None, speed=1.0, cap=inf, st
     return make_order(SETTINGS, state, action, wish, speed, T0 + TICK)
 
 
-@pytest.mark.parametrize(
-    ("motor", "drive"),
-    [
-        *((MotorOutput[name], brake(getattr(BRAKES, f"{name.lower()}_current_a")))
-          for name in ("SOFT_BRAKE", "HOLD_BRAKE", "BRAKE", "ESTOP_BRAKE")),
-        (MotorOutput.DUTY_ZERO, Drive(ActuationMode.SHORT, 0.1)),
-        (MotorOutput.RELEASE_ONCE, Drive(ActuationMode.RELEASE, 0.1)),
-        (MotorOutput.SILENT, Drive(steer=0.1)),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("motor", "drive"), [
+    *((MotorOutput[name], brake(getattr(BRAKES, f"{name.lower()}_current_a")))
+      for name in ("SOFT_BRAKE", "HOLD_BRAKE", "BRAKE", "ESTOP_BRAKE")),
+    (MotorOutput.DUTY_ZERO, Drive(ActuationMode.SHORT, 0.1)),
+    (MotorOutput.RELEASE_ONCE, Drive(ActuationMode.RELEASE, 0.1)),
+    (MotorOutput.SILENT, Drive(steer=0.1)),
+])  # fmt: skip
 def test_each_stop_has_its_drive_and_commands_no_speed(motor, drive):
     made = order(motor, SteeringOutput.HOLD, Command(0.3, 3.0))
     assert same(made.drive, drive)
@@ -130,23 +123,21 @@ def test_a_driven_order_is_limited_in_rate_and_under_the_cap():
     assert capped.command == Command(capped.drive.steer, capped.drive.speed)
 
 
-@pytest.mark.parametrize(
-    ("wish", "verdict"),
-    [(None, Verdict.PASSED), (Command(nan, 1.0), Verdict.NOT_FINITE),
-     (Command(0.0, inf), Verdict.NOT_FINITE)],
-)  # fmt: skip
+@pytest.mark.parametrize(("wish", "verdict"), [
+    (None, Verdict.PASSED), (Command(nan, 1.0), Verdict.NOT_FINITE),
+    (Command(0.0, inf), Verdict.NOT_FINITE),
+])  # fmt: skip
 def test_without_a_finite_wish_a_driven_car_brakes(wish, verdict):
     made = order(MotorOutput.DRIVE, wish=wish)
     assert same(made.drive, Drive(ActuationMode.BRAKE, current=BRAKES.brake_current_a))
     assert (made.verdict, made.command) == (verdict, None)
 
 
-@pytest.mark.parametrize(
-    ("steering", "steer"),
-    [(SteeringOutput.NONE, None), (SteeringOutput.HOLD, 0.1),
-     (SteeringOutput.CENTRE, pytest.approx(0.1 - 0.01 * LIMITS.steer_rate_max)),
-     (SteeringOutput.LIVE, pytest.approx(0.1 + 0.01 * LIMITS.steer_rate_max))],
-)  # fmt: skip
+@pytest.mark.parametrize(("steering", "steer"), [
+    (SteeringOutput.NONE, None), (SteeringOutput.HOLD, 0.1),
+    (SteeringOutput.CENTRE, pytest.approx(0.1 - 0.01 * LIMITS.steer_rate_max)),
+    (SteeringOutput.LIVE, pytest.approx(0.1 + 0.01 * LIMITS.steer_rate_max)),
+])  # fmt: skip
 def test_the_angle_of_a_stop_follows_the_steering_output(steering, steer):
     assert order(MotorOutput.BRAKE, steering, Command(0.3, 0.0)).drive.steer == steer
 
@@ -158,7 +149,6 @@ def test_an_unknown_speed_counts_as_the_highest():
 
 
 # Flags of the runner as findings of its watchdogs.
-
 Flag = fs.Flag
 NAMES = {
     Flag.SERIAL_FAULT: "W8", Flag.GUARDIAN_LOST: "W16", Flag.GUARDIAN_TRIPPED: "W15",

@@ -122,16 +122,12 @@ def fail_a_check(car):
     car.facts |= Fact.CHECKS_PASS
 
 
-@pytest.mark.parametrize(
-    ("interrupt", "left"),
-    [
-        (fail_a_check, 100), (lambda car: car.tick(dt=101 * MS), 100),
-        (lambda car: car.tick(dt=-5000 * MS), 100), (lambda car: car.tick(dt=0), 50),
-        (lambda car: car.tick(dt=100 * MS), 40),
-    ],
-    ids=["a failed check", "a gap between ticks", "a clock that runs backwards", "no time",
-         "a tenth of a second is no gap"],
-)  # fmt: skip
+@pytest.mark.parametrize(("interrupt", "left"), [
+    (fail_a_check, 100), (lambda car: car.tick(dt=101 * MS), 100),
+    (lambda car: car.tick(dt=-5000 * MS), 100), (lambda car: car.tick(dt=0), 50),
+    (lambda car: car.tick(dt=100 * MS), 40),
+], ids=["a failed check", "a gap between ticks", "a clock that runs backwards", "no time",
+        "a tenth of a second is no gap"])  # fmt: skip
 def test_what_starts_the_second_of_passing_checks_again(interrupt, left):
     car = Car()
     car.until(DISARMED)
@@ -175,26 +171,23 @@ def test_another_programs_alive_every_200_ms_is_found():
 CALLED_OFF = (Fact.STOP, Fact.DISARM, Fact.ABORT, Fact.UNKNOWN)
 
 
-@pytest.mark.parametrize(
-    ("begin", "gained", "lost", "asked", "state", "reason"),
-    [
-        *((begin, 0, missing, 0, INIT, "") for begin in (Car.parked, Car.ready)
-          for missing in (Fact.LINKED, Fact.IDENTIFIED)),
-        *((Car.ready, 0, 0, Fact.ARM | no, READY, "") for no in (*CALLED_OFF, 1 << 12)),
-        (Car.ready, 0, Fact.LEASED, Fact.ARM, READY, ""),
-        *((Car.testing, 0, 0, no, DISARMED, "arming called off") for no in CALLED_OFF),
-        (Car.testing, 0, Fact.LEASED, 0, DISARMED, "lease or deadman lost"),
-        (Car.testing, 0, Fact.CHECKS_PASS, 0, DISARMED, "a pre-arm check failed"),
-        *((begin, trip, 0, 0, DISARMED, "W1 mocap stale") for begin in (Car.ready, Car.testing)
-          for trip in (Fact.SOFT, Fact.HARD)),
-        (Car.armed, 0, Fact.CHECKS_PASS, Fact.START, ARMED, ""),
-        (Car.armed, 0, 0, Fact.START | Fact.STOP, ARMED, ""),
-        (Car.armed, 0, 0, Fact.START | Fact.ABORT, FAULT_STOP, ""),
-        *((Car.armed, 0, 0, no, DISARMED, "") for no in (Fact.DISARM, Fact.UNKNOWN, 1 << 27)),
-        (Car.armed, Fact.SOFT, 0, 0, DISARMED, "W1 mocap stale"),
-        (Car.armed, 0, Fact.LEASED, 0, DISARMED, "lease or deadman lost"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("begin", "gained", "lost", "asked", "state", "reason"), [
+    *((begin, 0, missing, 0, INIT, "") for begin in (Car.parked, Car.ready)
+      for missing in (Fact.LINKED, Fact.IDENTIFIED)),
+    *((Car.ready, 0, 0, Fact.ARM | no, READY, "") for no in (*CALLED_OFF, 1 << 12)),
+    (Car.ready, 0, Fact.LEASED, Fact.ARM, READY, ""),
+    *((Car.testing, 0, 0, no, DISARMED, "arming called off") for no in CALLED_OFF),
+    (Car.testing, 0, Fact.LEASED, 0, DISARMED, "lease or deadman lost"),
+    (Car.testing, 0, Fact.CHECKS_PASS, 0, DISARMED, "a pre-arm check failed"),
+    *((begin, trip, 0, 0, DISARMED, "W1 mocap stale") for begin in (Car.ready, Car.testing)
+      for trip in (Fact.SOFT, Fact.HARD)),
+    (Car.armed, 0, Fact.CHECKS_PASS, Fact.START, ARMED, ""),
+    (Car.armed, 0, 0, Fact.START | Fact.STOP, ARMED, ""),
+    (Car.armed, 0, 0, Fact.START | Fact.ABORT, FAULT_STOP, ""),
+    *((Car.armed, 0, 0, no, DISARMED, "") for no in (Fact.DISARM, Fact.UNKNOWN, 1 << 27)),
+    (Car.armed, Fact.SOFT, 0, 0, DISARMED, "W1 mocap stale"),
+    (Car.armed, 0, Fact.LEASED, 0, DISARMED, "lease or deadman lost"),
+])  # fmt: skip
 def test_what_keeps_a_car_from_arming_and_starting(begin, gained, lost, asked, state, reason):
     car = begin(Car())
     car.facts, car.text = (car.facts | gained) & ~lost, "W1 mocap stale"
@@ -224,8 +217,6 @@ def test_launch_window_caps_the_speed_until_the_checks_have_passed(before):
 
 
 # The supervisor from RUNNING to a standstill: stops, faults, emergency stops.
-
-
 def test_stop_ramps_at_1_5_then_brakes_softly_and_arms_again():
     car = Car().running(2.0)
     assert car.tick(Fact.STOP) == STOPPING
@@ -259,14 +250,11 @@ def test_a_stop_of_unknown_speed_brakes_at_once_and_a_launch_stops_from_its_cap(
 
 
 @pytest.mark.parametrize("late", [False, True])
-@pytest.mark.parametrize(
-    ("gained", "lost", "asked", "reason"),
-    [
-        (Fact.SOFT, 0, 0, "W13 low"), (0, Fact.LEASED, 0, "lease or deadman lost"),
-        (Fact.ENDED, 0, 0, "end of the run"), (0, 0, Fact.DISARM, "disarm asked for"),
-        (0, 0, Fact.UNKNOWN, "disarm asked for"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("gained", "lost", "asked", "reason"), [
+    (Fact.SOFT, 0, 0, "W13 low"), (0, Fact.LEASED, 0, "lease or deadman lost"),
+    (Fact.ENDED, 0, 0, "end of the run"), (0, 0, Fact.DISARM, "disarm asked for"),
+    (0, 0, Fact.UNKNOWN, "disarm asked for"),
+])  # fmt: skip
 def test_a_stop_that_no_operator_asked_for_ends_disarmed(gained, lost, asked, reason, late):
     """Also one that comes up during an operator's; the end of the run does not spoil that."""
     car = Car().running()

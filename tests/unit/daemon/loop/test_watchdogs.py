@@ -176,16 +176,13 @@ def test_lease_matters_while_armed_or_driving(state):
     assert brief(look(state=state, lease_age=inf)) == ([("W25", SOFT)] if matters else [])
 
 
-@pytest.mark.parametrize(
-    ("seconds", "first", "last", "share", "severities"),
-    [
-        (0.5 - 1e-9, 0.0, 0.1, 0.99, []), (0.5, 0.0, 0.1, 0.99, [WARN]),
-        (1.0 - 1e-9, 0.0, 0.1, 0.99, [WARN]), (1.0, 0.0, 0.1, 0.99, [SOFT]),
-        (1.0, 0.1, -0.125, 0.99, [SOFT]), (1.0, -0.125, 0.125, 0.99, []),
-        (1.0, 0.0, 0.02, 0.99, []), (1.0, 0.0, up(0.02), 0.99, [SOFT]),
-        (1.0, 0.0, 0.1, 0.984375, []), (1.0, 0.0, 0.1, up(0.984375), [SOFT]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("seconds", "first", "last", "share", "severities"), [
+    (0.5 - 1e-9, 0.0, 0.1, 0.99, []), (0.5, 0.0, 0.1, 0.99, [WARN]),
+    (1.0 - 1e-9, 0.0, 0.1, 0.99, [WARN]), (1.0, 0.0, 0.1, 0.99, [SOFT]),
+    (1.0, 0.1, -0.125, 0.99, [SOFT]), (1.0, -0.125, 0.125, 0.99, []),
+    (1.0, 0.0, 0.02, 0.99, []), (1.0, 0.0, up(0.02), 0.99, [SOFT]),
+    (1.0, 0.0, 0.1, 0.984375, []), (1.0, 0.0, 0.1, up(0.984375), [SOFT]),
+])  # fmt: skip
 def test_steering_saturated_and_the_error_grows(seconds, first, last, share, severities):
     state, found = step(steer_share=share, lateral_error=first)
     assert found == ()
@@ -219,16 +216,13 @@ ELL = ((0.0, 0.0), (4.0, 0.0), (4.0, 2.0), (2.0, 2.0), (2.0, 4.0), (0.0, 4.0))
 KITE = ((0.0, -2.0), (3.0, 1.0), (0.0, 2.0), (-1.0, 1.0))
 
 
-@pytest.mark.parametrize(
-    ("fence", "inside", "outside"),
-    [
-        (SQUARE, [(0.0, 0.0), (down(2.0), 0.0)], [(2.0, 0.0), (up(2.0), 0.0), (nan, 0), (0, nan)]),
-        (SQUARE[::-1], [(1.9, -1.9)], [(1.9, -2.1)]),
-        (SQUARE[2:] + SQUARE[:2], [(1.9, -1.9)], [(1.9, -2.1)]),
-        (ELL, [(1.0, 3.0), (3.0, 1.0)], [(3.0, 3.0)]),
-        (KITE, [(1.0, 0.0), (1.9, 0.0), (-0.3, 0.0)], [(2.0, -0.5), (2.1, 0.0), (-0.7, 0.0)]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("fence", "inside", "outside"), [
+    (SQUARE, [(0.0, 0.0), (down(2.0), 0.0)], [(2.0, 0.0), (up(2.0), 0.0), (nan, 0), (0, nan)]),
+    (SQUARE[::-1], [(1.9, -1.9)], [(1.9, -2.1)]),
+    (SQUARE[2:] + SQUARE[:2], [(1.9, -1.9)], [(1.9, -2.1)]),
+    (ELL, [(1.0, 3.0), (3.0, 1.0)], [(3.0, 3.0)]),
+    (KITE, [(1.0, 0.0), (1.9, 0.0), (-0.3, 0.0)], [(2.0, -0.5), (2.1, 0.0), (-0.7, 0.0)]),
+])  # fmt: skip
 def test_inside_a_polygon(fence, inside, outside):
     assert all(wd.is_inside(fence, *place) for place in inside)
     assert not any(wd.is_inside(fence, *place) for place in outside)
@@ -238,22 +232,19 @@ EDGE = 2.0 - (0.25 + 0.5 + 0.125)  # v 2: 2*0.125 + 4/8 + margin
 PARKED = {"speed": 0.0, "state": SupervisorState.DISARMED}
 
 
-@pytest.mark.parametrize(
-    ("changes", "severities"),
-    [
-        *(({"x": sign * (EDGE + beyond), "course": course, "speed": speed}, severities)
-          for course, sign in ((0.0, 1.0), (pi, -1.0)) for speed in (2.0, -2.0)
-          for beyond, severities in ((-0.51, []), (-0.49, [WARN]), (-0.001, [WARN]),
-                                     (0.001, [HARD]))),
-        ({"y": EDGE + 0.001, "course": pi / 2, "speed": 2.0}, [HARD]),
-        ({"x": 1.0, **PARKED}, []), ({"x": 2.0 - 0.125, **PARKED}, [HARD]),
-        # Aslant; 1 m from the edge it stays just inside.
-        *(({"x": far * x, "y": far * y, "course": course, "speed": 2.0}, [severity])
-          for course, x, y in ((0.6, 1.0, 0.0), (0.6 + pi, -1.0, 0.0), (0.9, 0.0, 1.0))
-          for far, severity in ((1.0, WARN), (1.5, HARD))),
-        ({"x": -1.0, "course": 0.6, "speed": 2.0}, []),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("changes", "severities"), [
+    *(({"x": sign * (EDGE + beyond), "course": course, "speed": speed}, severities)
+      for course, sign in ((0.0, 1.0), (pi, -1.0)) for speed in (2.0, -2.0)
+      for beyond, severities in ((-0.51, []), (-0.49, [WARN]), (-0.001, [WARN]),
+                                 (0.001, [HARD]))),
+    ({"y": EDGE + 0.001, "course": pi / 2, "speed": 2.0}, [HARD]),
+    ({"x": 1.0, **PARKED}, []), ({"x": 2.0 - 0.125, **PARKED}, [HARD]),
+    # Aslant; 1 m from the edge it stays just inside.
+    *(({"x": far * x, "y": far * y, "course": course, "speed": 2.0}, [severity])
+      for course, x, y in ((0.6, 1.0, 0.0), (0.6 + pi, -1.0, 0.0), (0.9, 0.0, 1.0))
+      for far, severity in ((1.0, WARN), (1.5, HARD))),
+    ({"x": -1.0, "course": 0.6, "speed": 2.0}, []),
+])  # fmt: skip
 def test_fence_counts_the_stopping_distance(changes, severities):
     assert brief(look(FENCED, **changes)) == [("W19", severity) for severity in severities]
 
@@ -265,8 +256,6 @@ def test_a_fence_needs_a_place():
 
 
 # Whether a stop slows the car: judged over lag and window, by each kind of stop (W24).
-
-
 def stop(kind, speeds, dt=S // 16, wheels=0.0, telemetry_age=0.0):
     """Watch a stop; return per tick the W24 findings and whether it is slowing."""
     state, out = wd.WatchdogState(), []
@@ -283,11 +272,10 @@ def slowed(decel, ticks):
     return [2.0 - decel * max(0.0, k / 16 - 0.125) for k in range(ticks)]
 
 
-@pytest.mark.parametrize(
-    ("kind", "least"),
-    [(SupervisorState.STOPPING, 0.75), (SupervisorState.FAULT_STOP, 2.0),
-     (SupervisorState.ESTOP, 2.0)],
-)  # fmt: skip
+@pytest.mark.parametrize(("kind", "least"), [
+    (SupervisorState.STOPPING, 0.75), (SupervisorState.FAULT_STOP, 2.0),
+    (SupervisorState.ESTOP, 2.0),
+])  # fmt: skip
 def test_a_stop_below_its_least_deceleration_is_found_after_lag_and_window(kind, least):
     assert all(words == [] and slowing for words, slowing in stop(kind, slowed(least, 12)))
     found = stop(kind, slowed(least - 0.01, 11))
@@ -335,8 +323,6 @@ def test_each_kind_of_stop_is_judged_anew():
 
 
 # What the VESC says of itself: status bits, fault codes, its tachometer (W9 to W12).
-
-
 def test_starved_at_once_after_commands_were_seen_to_arrive():
     state, _ = step(state=SupervisorState.ARMED)
     assert state.commanded

@@ -30,28 +30,24 @@ def judge(next_frame, watch=BASE, wheel=0.0, may_rebase=False):
     return wp.step_pose(TH, watch, next_frame, wheel, may_rebase)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [{}, *({"turn": q} for q in [(1.015625, 0, 0, 0), (0, 0.984375, 0, 0), (0.5,) * 4]),
-     *({"place": place} for place in [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])],
-)  # fmt: skip
+@pytest.mark.parametrize("changes", [
+    {}, *({"turn": q} for q in [(1.015625, 0, 0, 0), (0, 0.984375, 0, 0), (0.5,) * 4]),
+    *({"place": place} for place in [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]),
+])  # fmt: skip
 def test_first_sane_frame_is_a_start(changes):
     watch, verdict = judge(frame(**changes), PoseWatch())
     assert (watch.base, verdict) == (frame(**changes), REBASED)
     assert judge(frame(tracking_valid=False, **changes), PoseWatch())[1] == INVALID
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [
-        {"tracking_valid": False}, {"live": False}, {"place": (0.0, 0.0, 0.0)},
-        {"place": (nan, 1.0, 1.0)}, {"place": (1.0, inf, 1.0)}, {"place": (inf, -inf, 1.0)},
-        {"yaw": nan}, {"turn": (0.0, 0.0, 0.0, 0.0)}, {"turn": (nan, 0.0, 0.0, 1.0)},
-        {"turn": (nextafter(1.015625, inf), 0.0, 0.0, 0.0)},
-        {"turn": (0.0, 0.0, nextafter(0.984375, 0.0), 0.0)},
-        {"number": 1}, {"number": 0}, {"t_ns": S}, {"t_ns": S - 1},
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("bad", [
+    {"tracking_valid": False}, {"live": False}, {"place": (0.0, 0.0, 0.0)},
+    {"place": (nan, 1.0, 1.0)}, {"place": (1.0, inf, 1.0)}, {"place": (inf, -inf, 1.0)},
+    {"yaw": nan}, {"turn": (0.0, 0.0, 0.0, 0.0)}, {"turn": (nan, 0.0, 0.0, 1.0)},
+    {"turn": (nextafter(1.015625, inf), 0.0, 0.0, 0.0)},
+    {"turn": (0.0, 0.0, nextafter(0.984375, 0.0), 0.0)},
+    {"number": 1}, {"number": 0}, {"t_ns": S}, {"t_ns": S - 1},
+])  # fmt: skip
 def test_bad_frames_are_counted_and_dropped(bad):
     watch = BASE
     for count in range(1, 7):

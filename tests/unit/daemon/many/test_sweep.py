@@ -18,8 +18,6 @@ def make_plan(vary, **more):
 
 
 # The file: lists are crossed, seeds shared, draws of the shape that was asked for.
-
-
 def test_lists_are_crossed_and_every_combination_meets_every_seed():
     plan = make_plan({"path": ["line", "figure8"], "car.mass": [3.0, 3.5, 4.0]}, seeds=[4, 7])
     cases = list(list_cases(plan))
@@ -86,7 +84,6 @@ def test_a_file_that_is_no_toml_is_refused(tmp_path):
 
 
 # Draws: repeatable, apart from each other, within bounds.
-
 N = 4000
 
 
@@ -138,8 +135,6 @@ def test_what_is_no_distribution_is_refused(given, said):
 
 
 # One drive: the drawn car is the one that drives, and its judges agree with it.
-
-
 def test_what_is_varied_reaches_the_simulated_hardware():
     vary = {
         "car.mass": [4.5], "effect.steer_delay": [0.03], "effect.grip_patch.x": [2.0],
@@ -194,7 +189,6 @@ def test_a_car_that_its_watchdogs_stop_says_which():
 
 
 # The figures of screen and page, on tables whose answers are known.
-
 DRIVES = 200
 
 

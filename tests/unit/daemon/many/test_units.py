@@ -60,16 +60,13 @@ def test_a_worker_that_dies_takes_nobody_along(tmp_path):
 
 
 def test_numbers_of_processes():
-    assert Where(3).processes == 3
-    assert Where().processes == len(os.sched_getaffinity(0))
+    assert (Where(3).processes, Where().processes) == (3, len(os.sched_getaffinity(0)))
     with pytest.raises(SteerdError, match="--jobs -1") as caught:
         Where(-1)
     assert caught.value.code is ExitCode.USAGE
 
 
 # --- a cluster
-
-
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_gives_the_same_results_and_survives_a_worker(tmp_path):
@@ -95,7 +92,6 @@ def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path, monkeypatch):
 
 
 # What an interrupted command had finished is found again, whole.
-
 UNITS = {"a": {"x": 0.1 + 0.2, "y": None}, "b": {"x": 1e-300, "y": "wörds"}}
 Rows = namedtuple("Rows", "rows worked wall")
 
@@ -109,9 +105,7 @@ def do(output, basis="p", stop=None, units=UNITS):
     return do_job(Job("", lambda row: row, units, basis, make_row, Rows), Where(1), output)
 
 
-@pytest.fixture
-def output(tmp_path):
-    return tmp_path / "out.parquet"
+output = pytest.fixture(lambda tmp_path: tmp_path / "out.parquet")
 
 
 def test_rows_come_back_digit_by_digit_and_are_not_made_again(output):
@@ -167,7 +161,6 @@ def test_two_commands_do_not_write_one_table(output):
 
 
 # Parquet files: values and units come back, the same rows are the same bytes.
-
 COLUMNS = (
     Column("speed", "number", "m/s", "how fast"), Column("count", "count", "", "how often"),
     Column("name", "text", "", "which"),

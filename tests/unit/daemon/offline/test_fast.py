@@ -75,7 +75,6 @@ def test_a_car_that_never_drove_is_an_error_that_says_what_was_missing(plan):
 
 
 # Time in a virtual run, and what a lost link does to it.
-
 UNPLUGGED_NS = 200_000_000
 
 
@@ -112,8 +111,6 @@ def test_an_unplugged_port_is_noticed_and_opened_again(plan):
 
 
 # Replay: what cannot be compared.
-
-
 def test_a_session_of_another_version_is_refused_and_nothing_compared_is_an_error(tmp_path):
     path = tmp_path / "old.mcap"
     with path.open("wb") as file:

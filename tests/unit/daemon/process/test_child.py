@@ -75,8 +75,6 @@ def test_a_process_that_has_ended_takes_no_job_and_its_descriptors_are_closed(wa
 
 
 # Processes of a run: whose exit code counts in the end, and whose descriptors are whose.
-
-
 def ended(code):
     """A child that has ended with a code."""
     return SimpleNamespace(process=subprocess.Popen(["sh", "-c", f"exit {code}"]))

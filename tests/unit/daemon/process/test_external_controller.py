@@ -8,8 +8,6 @@ import pytest
 
 import steerd
 from steerd.car_model.state import State
-from steerd.daemon.cli.main import run_cli
-from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.process.external_controller import Lane
 
 CIRCLE = {"path": "circle:radius=2", "speed": 1.5, "duration": 6.0, "seed": 3}
@@ -20,7 +18,7 @@ def follow(t: float, state: State[float], lane: Lane) -> tuple[float, float]:
     return math.atan(0.33 * lane.curvature) - 0.8 * lane.e1 - lane.e2, 1.5
 
 
-def test_a_function_drives_to_a_stop_and_the_drive_replays(tmp_path, capsys):
+def test_a_function_drives_to_a_stop_and_the_drive_replays(tmp_path, cli):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # no watchdog ended the drive
         drive = steerd.simulate(**CIRCLE, controller=follow, record=tmp_path / "own.mcap")
@@ -30,8 +28,7 @@ def test_a_function_drives_to_a_stop_and_the_drive_replays(tmp_path, capsys):
     assert len(moving) > 300
     assert np.abs(moving["e1"][100:]).max() < 0.15
     assert drive.path.read_bytes() == again.path.read_bytes()
-    assert run_cli(["replay", str(drive.path)]) == ExitCode.OK
-    assert "all equal the recorded ones" in capsys.readouterr().out
+    assert "all equal the recorded ones" in cli("replay", drive.path).out
 
 
 def test_the_cars_limits_hold_for_a_function(tmp_path):

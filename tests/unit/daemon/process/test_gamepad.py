@@ -79,7 +79,6 @@ def test_a_virtual_gamepad_is_read_and_its_end_is_noticed():
 
 
 # What a gamepad's parts mean, and everything that counts as letting go of it.
-
 PADS = PadMap()
 HELD = PadState(held=True, steer=0.5, speed=0.5, heard_ns=0)
 STICK, TRIGGER = gamepad.AxisRange(-100, 100), gamepad.AxisRange(0, 200)
@@ -122,15 +121,12 @@ def test_left_is_left_and_forward_is_forward():
     assert (other.steer, other.speed) == (HELD.steer, HELD.speed)
 
 
-@pytest.mark.parametrize(
-    ("value", "span", "name", "share"),
-    [
-        (0, STICK, "x", 0.0), (5, STICK, "x", 0.0), (-5, STICK, "x", 0.0), (100, STICK, "x", 1.0),
-        (-100, STICK, "x", -1.0), (999, STICK, "x", 1.0), (-999, STICK, "x", -1.0),
-        (20, COARSE, "x", 0.0), (60, COARSE, "x", 0.5), (0, TRIGGER, "rz", 0.0),
-        (100, TRIGGER, "rz", 0.5), (300, TRIGGER, "rz", 1.0), (0, gamepad.AxisRange(0, 0), "rz", 0),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("value", "span", "name", "share"), [
+    (0, STICK, "x", 0.0), (5, STICK, "x", 0.0), (-5, STICK, "x", 0.0), (100, STICK, "x", 1.0),
+    (-100, STICK, "x", -1.0), (999, STICK, "x", 1.0), (-999, STICK, "x", -1.0),
+    (20, COARSE, "x", 0.0), (60, COARSE, "x", 0.5), (0, TRIGGER, "rz", 0.0),
+    (100, TRIGGER, "rz", 0.5), (300, TRIGGER, "rz", 1.0), (0, gamepad.AxisRange(0, 0), "rz", 0),
+])  # fmt: skip
 def test_an_axis_is_a_share(value, span, name, share):
     assert gamepad.read_axis(value, span, name) == pytest.approx(share)
 
@@ -192,9 +188,7 @@ class Desk:
         return [decode(DriveCommand, s.data) for s in self._driven.poll()]
 
 
-@pytest.fixture
-def desk():
-    return Desk()
+desk = pytest.fixture(lambda: Desk())
 
 
 @pytest.fixture

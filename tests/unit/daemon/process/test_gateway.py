@@ -20,10 +20,7 @@ from tests.local_bus import LocalBus, LocalHub
 POSE_KEY = "lab/pose"
 TICK = encode(m.Tick(m.make_header(1, m.BODY), 1, 2, 3, 4, 0))
 
-
-@pytest.fixture
-def hub():
-    return LocalHub()
+hub = pytest.fixture(lambda: LocalHub())
 
 
 @pytest.fixture
@@ -173,7 +170,6 @@ def test_it_ends_when_the_pipe_closes_after_all_is_published(gateway, hub, ends,
 
 
 # Heartbeats to the bus and back: who must answer, how soon, and what does not count.
-
 BOOT_ID, HOLDER, MS = 815, 42, 1_000_000
 LIMIT_S = 1.0
 
@@ -226,13 +222,10 @@ def test_whoever_takes_the_lease_over_the_bus_has_to_answer_and_has_time_for_it(
     assert not path.is_silent(False, LIMIT_S, 7052 * MS), "a lease that has run out is W25's"
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"boot_id": 1}, {"lease_id": 7}, {"mono_ns": 500 * MS + 1}, {"mono_ns": -5},
-        b"", b"\0" * 7, b"\xff" * 300,
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("wrong", [
+    {"boot_id": 1}, {"lease_id": 7}, {"mono_ns": 500 * MS + 1}, {"mono_ns": -5},
+    b"", b"\0" * 7, b"\xff" * 300,
+])  # fmt: skip
 def test_garbage_another_runs_heartbeat_or_one_from_the_future_is_none(wrong):
     path = make_path()
     beat = beat_at(path, 500 * MS)

@@ -24,10 +24,9 @@ def test_before_a_port_is_open_nothing_may_move_and_nothing_is_missed():
     assert not any((guard.may_write(now, now), guard.is_silent(now), guard.has_tripped()))
 
 
-@pytest.mark.parametrize(
-    ("realtime", "simulated", "stale_ms"),
-    [(True, False, 30), (False, False, 60), (True, True, 300)],
-)
+@pytest.mark.parametrize(("realtime", "simulated", "stale_ms"), [
+    (True, False, 30), (False, False, 60), (True, True, 300),
+])  # fmt: skip
 def test_how_late_a_heartbeat_may_be(realtime, simulated, stale_ms):
     guard = ProcessGuard(realtime, simulated=simulated)
     guard.page = HeartbeatPage(make_page_fd())
@@ -79,7 +78,6 @@ def test_a_plug_that_flaps_leaves_nothing_behind(pipe):
 
 
 # Who holds the lifeline, and what the other end hears of its death.
-
 HOLDER = """
 import sys, select
 from steerd.daemon.process.heartbeat import HeartbeatPage, Lifeline

@@ -58,9 +58,7 @@ def make_sides():
     return sides
 
 
-@pytest.fixture
-def page():
-    return make_sides()[0]
+page = pytest.fixture(lambda: make_sides()[0])
 
 
 def test_both_sides_see_the_same_words():
@@ -129,11 +127,9 @@ def test_heartbeat_is_stale_strictly_beyond_its_limit(page, age, faulty):
     assert core.waits == ([] if faulty else [1])
 
 
-@pytest.mark.parametrize(
-    ("engaged", "times", "waits"),
-    [(False, (10**12,), [10] * 3), (True, (0, 25 * MS, 28 * MS + 1, STALE_NS), [10, 6, 2, 1])],
-    ids=["a disarmed core's stale heartbeat is none of its business", "armed"],
-)
+@pytest.mark.parametrize(("engaged", "times", "waits"), [
+    (False, (10**12,), [10] * 3), (True, (0, 25 * MS, 28 * MS + 1, STALE_NS), [10, 6, 2, 1]),
+], ids=["a disarmed core's stale heartbeat is none of its business", "armed"])  # fmt: skip
 def test_it_wakes_when_a_heartbeat_would_be_stale_but_at_least_every_10_ms(
     page, engaged, times, waits
 ):

@@ -95,13 +95,10 @@ def test_what_a_step_says_is_shown(typed, capfd):
     assert page.shown()["steps"][0]["output"].splitlines()[0].startswith("two")
 
 
-@pytest.mark.parametrize(
-    ("output", "shown"),
-    [
-        ("a\r\nb\n", "a\nb\n"), ("10 %\r20 %\r\n", "20 %\n"), ("\x1b[32mgreen\x1b[0m", "green"),
-        ("one\ntwo\n\x1b[2A\rthree\n", "three\n"), ("\x1b[9A\x1b[?25lx", "x"), ("", ""),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("output", "shown"), [
+    ("a\r\nb\n", "a\nb\n"), ("10 %\r20 %\r\n", "20 %\n"), ("\x1b[32mgreen\x1b[0m", "green"),
+    ("one\ntwo\n\x1b[2A\rthree\n", "three\n"), ("\x1b[9A\x1b[?25lx", "x"), ("", ""),
+])  # fmt: skip
 def test_text_as_the_terminal_shows_it(output, shown):
     assert plain_text(output) == shown
 

@@ -36,15 +36,12 @@ def arrivals(every, phase, jitter, seed, share=1.0):
 PHASES = (0.02, 0.3, 0.5, 0.7, 0.98)
 
 
-@pytest.mark.parametrize(
-    ("period_ms", "ratio", "phase", "share", "late_ms"),
-    [
-        *((period_ms, 1.0, phase, 1.0, 0.2) for period_ms in (2, 5, 10) for phase in PHASES),
-        (5, 0.5, 0.4, 1.0, 0.2), (5, 2.0, 0.4, 1.0, 0.2),  # twice or half as often
-        (10, 1.0, 0.3, 0.8, 0.2),  # lost poses do not move what is in step
-        (10, 1.0 / 1.002, 0.3, 1.0, 0.5),  # a mocap clock that is a little fast
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("period_ms", "ratio", "phase", "share", "late_ms"), [
+    *((period_ms, 1.0, phase, 1.0, 0.2) for period_ms in (2, 5, 10) for phase in PHASES),
+    (5, 0.5, 0.4, 1.0, 0.2), (5, 2.0, 0.4, 1.0, 0.2),  # twice or half as often
+    (10, 1.0, 0.3, 0.8, 0.2),  # lost poses do not move what is in step
+    (10, 1.0 / 1.002, 0.3, 1.0, 0.5),  # a mocap clock that is a little fast
+])  # fmt: skip
 def test_a_punctual_pose_comes_shortly_before_its_deadline(period_ms, ratio, phase, share, late_ms):
     period = period_ms * MS
     dues, waits, _ = drive(period, arrivals(period * ratio, phase, 0.02 * MS, 5, share))
@@ -56,11 +53,10 @@ def test_a_punctual_pose_comes_shortly_before_its_deadline(period_ms, ratio, pha
     assert np.diff(dues[TICKS // 2 :]).mean() / period == pytest.approx(followed, rel=2e-4)
 
 
-@pytest.mark.parametrize(
-    ("period_ms", "every", "jitter"),
-    [*((10, 1e9 / hz, 0.02 * MS) for hz in (120, 240, 360, 1000 / 7.3)),
-     (5, 1e9 / 120, 0.0), (5, 5 * MS, 1.5 * MS)],
-)  # fmt: skip
+@pytest.mark.parametrize(("period_ms", "every", "jitter"), [
+    *((10, 1e9 / hz, 0.02 * MS) for hz in (120, 240, 360, 1000 / 7.3)),
+    (5, 1e9 / 120, 0.0), (5, 5 * MS, 1.5 * MS),
+])  # fmt: skip
 def test_poses_without_a_common_rhythm_move_nothing_and_make_no_ticks(period_ms, every, jitter):
     period = period_ms * MS
     dues, _, paces = drive(period, arrivals(every, 0.3, jitter, 9))

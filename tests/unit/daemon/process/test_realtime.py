@@ -77,7 +77,6 @@ def test_real_time_for_a_while_leaves_nothing_behind():
 
 
 # Who made a tick late is told from the guardian's pause: machine, host, or this program alone.
-
 MS = 1_000_000
 START = 10**12
 
@@ -101,21 +100,18 @@ JUST = LEAST_NS // MS
 NEVER = -START // MS, -START // MS  # no pause, as the page says it: from 0 to 0 [ns]
 
 
-@pytest.mark.parametrize(
-    ("late_ms", "pause_ms", "stolen_ms", "flag"),
-    [
-        # A pause at another time, or none: the guardian ran all the time.
-        *((41, pause, 0, Flag.ALONE_LATE) for pause in ((-900, -850), (-40, 0), (60, 90), NEVER)),
-        (JUST, NEVER, 0, Flag.ALONE_LATE), (41, None, 0, 0),  # nobody saw it
-        (100, (-10, 30), 0, 0), (100, (90, 120), 0, 0),  # the guardian ran for most of it
-        # Of a short delay it is no witness.
-        (0, (-5, 5), 0, 0), (JUST - 1, (0, 0), 0, 0), (JUST - 1, (-9, JUST), 0, 0),
-        (JUST, (0, PERIOD_NS // MS + 9), 0, 0),  # mostly its own sleep
-        # Stolen time says more than the guardian.
-        (40, (-5, 45), 40, Flag.STALLED), (40, (0, 0), 20, Flag.STALLED),
-        (40, (-5, 45), 19, Flag.ALL_LATE),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("late_ms", "pause_ms", "stolen_ms", "flag"), [
+    # A pause at another time, or none: the guardian ran all the time.
+    *((41, pause, 0, Flag.ALONE_LATE) for pause in ((-900, -850), (-40, 0), (60, 90), NEVER)),
+    (JUST, NEVER, 0, Flag.ALONE_LATE), (41, None, 0, 0),  # nobody saw it
+    (100, (-10, 30), 0, 0), (100, (90, 120), 0, 0),  # the guardian ran for most of it
+    # Of a short delay it is no witness.
+    (0, (-5, 5), 0, 0), (JUST - 1, (0, 0), 0, 0), (JUST - 1, (-9, JUST), 0, 0),
+    (JUST, (0, PERIOD_NS // MS + 9), 0, 0),  # mostly its own sleep
+    # Stolen time says more than the guardian.
+    (40, (-5, 45), 40, Flag.STALLED), (40, (0, 0), 20, Flag.STALLED),
+    (40, (-5, 45), 19, Flag.ALL_LATE),
+])  # fmt: skip
 def test_who_made_a_tick_late(late_ms, pause_ms, stolen_ms, flag):
     assert cause_of(late_ms, pause_ms, stolen_ms) == flag
 
@@ -154,14 +150,12 @@ def test_a_missed_deadline_is_skipped_and_never_caught_up():
     assert deadlines == [10 * MS, 20 * MS, 50 * MS]
 
 
-@pytest.mark.parametrize(
-    ("few", "more", "good", "missed", "fatal"),
-    [(1000, [], True, 0, 0), (998, [9.0, 9.0], False, 0, 0), (9999, [10.0], True, 0, 0),
-     (9999, [10.1], False, 1, 0), (9999, [25.1], False, 1, 1)],
-)  # fmt: skip
+@pytest.mark.parametrize(("few", "more", "good", "missed", "fatal"), [
+    (1000, [], True, 0, 0), (998, [9.0, 9.0], False, 0, 0), (9999, [10.0], True, 0, 0),
+    (9999, [10.1], False, 1, 0), (9999, [25.1], False, 1, 1),
+])  # fmt: skip
 def test_what_is_good_enough(few, more, good, missed, fatal):
     late_ms = [0.1] * few + more
     wakes = summarise_wakes((np.array(late_ms) * MS).astype(np.int64), 10 * MS)
     assert (wakes.good, wakes.missed, wakes.fatal) == (good, missed, fatal)
-    assert wakes.ticks == len(late_ms)
-    assert wakes.worst_ns == round(max(late_ms) * MS)
+    assert (wakes.ticks, wakes.worst_ns) == (len(late_ms), round(max(late_ms) * MS))

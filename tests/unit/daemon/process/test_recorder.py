@@ -110,7 +110,6 @@ def test_the_terminal_gets_changes_at_once_and_the_rest_ten_times_a_second():
 
 
 # The learner's process: records in, reports out, and readers that lose it.
-
 EPOCH = 1_700_000_000_000_000_000
 TICK_NS = 10_000_000
 

@@ -106,20 +106,15 @@ def test_a_nodes_odd_times_go_into_no_message_that_cannot_be_packed():
     assert decode(m.DriveCommand, encode(command)).t_source_ns == -(1 << 63)
 
 
-@pytest.mark.parametrize(
-    ("mocap", "key"),
-    [
-        ("ros2:///pf/pose/odom", "3/pf/pose/odom/*/*"), ("zenoh:lab/pose", "lab/pose"),
-        ("natnet://10.0.0.1/car", None), ("ros2://pf", None), (None, None),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("mocap", "key"), [
+    ("ros2:///pf/pose/odom", "3/pf/pose/odom/*/*"), ("zenoh:lab/pose", "lab/pose"),
+    ("natnet://10.0.0.1/car", None), ("ros2://pf", None), (None, None),
+])  # fmt: skip
 def test_poses_are_listened_for_where_the_address_says(mocap, key):
     assert find_pose_key(RunOptions("", mocap=mocap, ros_domain=3)) == key
 
 
 # Standard ROS messages: made from the car's own, at most 50 of each kind per second.
-
-
 def test_odometry_has_the_pose_and_the_velocity_in_the_body_frame():
     moving = {"speed": 2.0, "slip_angle": 0.1, "yaw_rate": 0.5, "yaw_sd": 0.2}
     state = blank(m.StateMessage, x=1.0, y=2.0, yaw=pi / 2, **moving)

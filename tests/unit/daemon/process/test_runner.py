@@ -77,9 +77,7 @@ def make_runner(plan, sinks=(), requests=(), **record):
     )
 
 
-@pytest.fixture
-def r(plan):
-    return make_runner(plan)
+r = pytest.fixture(lambda plan: make_runner(plan))
 
 
 def engage(r):
@@ -222,11 +220,10 @@ def both_ends():
         end.close()
 
 
-@pytest.mark.parametrize(
-    ("who", "answers", "found"),
-    [(REMOTE, (0, 42), False), (REMOTE, (0,), True), (REMOTE, (0, 7), True),
-     (LOCAL, (0,), False), (LOCAL, (), False)],
-)  # fmt: skip
+@pytest.mark.parametrize(("who", "answers", "found"), [
+    (REMOTE, (0, 42), False), (REMOTE, (0,), True), (REMOTE, (0, 7), True),
+    (LOCAL, (0,), False), (LOCAL, (), False),
+])  # fmt: skip
 def test_w27_the_holder_on_the_bus_hears_no_heartbeat(piped, both_ends, who, answers, found):
     """An operator keeps the lease; the gateway (lease 0) and others send heartbeats back."""
     cores, others = both_ends
@@ -279,10 +276,9 @@ def test_the_guardian_keeps_what_still_moves(r, state, lost):
     assert lost or (bool(r.port.sent) is clean and r.port.close.called)
 
 
-@pytest.mark.parametrize(
-    ("state", "still_ns", "opened"),
-    [("ESTOP", -STILL_NS, True), ("ESTOP", NEVER, False), ("RUNNING", -STILL_NS, False)],
-)
+@pytest.mark.parametrize(("state", "still_ns", "opened"), [
+    ("ESTOP", -STILL_NS, True), ("ESTOP", NEVER, False), ("RUNNING", -STILL_NS, False),
+])  # fmt: skip
 def test_a_port_comes_back_after_an_emergency_stop_at_rest(r, state, still_ns, opened):
     r.it._lose_port()
     now = {"state": SupervisorState[state], "still_ns": still_ns}

@@ -11,7 +11,6 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from steerd.car_model.car_file import default_car_path
 from steerd.daemon.assembly.build import make_job, make_plan, read_job
-from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.requests import parse_setting
 from steerd.daemon.process import view
@@ -88,16 +87,13 @@ class Client:
             yield word
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "", "{", "[]", "7", "null", b"\0\xff", "[" * 50_000, '{"op": 5}', '{"op": "subscribe"}',
-        '{"op": "subscribe", "subscriptions": [{"id": {}, "channelId": "x"}]}',
-        '{"op": "unsubscribe", "subscriptionIds": [[]]}',
-        '{"op": "setParameters", "parameters": [{"name": [], "value": 1e999}, 3]}',
-        '{"op": "subscribeParameterUpdates", "parameterNames": 3}',
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("words", [
+    "", "{", "[]", "7", "null", b"\0\xff", "[" * 50_000, '{"op": 5}', '{"op": "subscribe"}',
+    '{"op": "subscribe", "subscriptions": [{"id": {}, "channelId": "x"}]}',
+    '{"op": "unsubscribe", "subscriptionIds": [[]]}',
+    '{"op": "setParameters", "parameters": [{"name": [], "value": 1e999}, 3]}',
+    '{"op": "subscribeParameterUpdates", "parameterNames": 3}',
+])  # fmt: skip
 def test_no_word_of_a_client_ends_its_connection(words):
     asked = '{"op": "getParameters", "parameterNames": ["a", "b"], "id": "1"}'
     client = Client(words, asked, *["{}"] * 9)
@@ -128,10 +124,9 @@ def test_good_addresses_are_taken_invalid_refused_and_public_ones_without_insecu
     assert {words: parse_view(words, insecure_lan=False) for words in good} == good
 
 
-def test_a_missing_package_is_one_line_with_its_remedy(capsys, monkeypatch):
+def test_a_missing_package_is_one_line_with_its_remedy(cli, monkeypatch):
     monkeypatch.setattr("steerd.daemon.process.view_job.find_spec", lambda name: None)
-    assert run_cli(["run", "--sim", "--view"]) == 3
-    said = capsys.readouterr().err
+    said = cli("run", "--sim", "--view", code=3).err
     assert "foxglove-sdk" in said
     assert "pip install" in said
     assert len(said.splitlines()) == 2

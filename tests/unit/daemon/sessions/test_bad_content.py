@@ -226,7 +226,6 @@ def test_20_a_file_that_grows_while_it_is_read(drive, tmp_path):
 
 
 # Containers, 1 to 24.
-
 MAGIC = b"\x89MCAP0\r\n"
 CAR = {"steerd.session": {"car": "blue"}}
 

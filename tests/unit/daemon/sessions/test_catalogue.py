@@ -97,29 +97,25 @@ def test_tags_and_notes_go_where_the_file_goes(folder):
     assert catalogue.read_notes(folder / "circle.mcap") == ((), "")
 
 
-def test_the_command_lists_tags_and_filters(folder, capsys):
+def test_the_command_lists_tags_and_filters(folder, cli):
     assert run_cli(["sessions", "tag", "@-3", "wet"]) == 0
     assert run_cli(["sessions", "note", "@last", "left tyre", "changed"]) == 0
-    capsys.readouterr()
-    assert run_cli(["sessions"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = cli("sessions").out.splitlines()
     assert max(map(len, lines)) <= 80
     text = "\n".join(lines)
     assert text.index("@last") < text.index("left tyre changed") < text.index("@-2")
     assert "#wet" in lines[-1]
-    assert run_cli(["sessions", "--tag", "wet", "--json"]) == 0
-    (only,) = json.loads(capsys.readouterr().out)["sessions"]
+    (only,) = json.loads(cli("sessions", "--tag", "wet", "--json").out)["sessions"]
     assert Path(only["path"]).stem == "circle"
     assert run_cli(["sessions", "untag", "@-3", "wet"]) == 0
     assert run_cli(["sessions", "--folder", "nowhere"]) == ExitCode.UNREADABLE
 
 
-def test_the_page_leads_to_each_drives_page_from_wherever_it_lies(folder, tmp_path, capsys):
+def test_the_page_leads_to_each_drives_page_from_wherever_it_lies(folder, tmp_path, cli):
     (folder / "circle.mcap").rename(folder / "a #1 <b>.mcap")
     (folder / "a #1 <b>.html").write_text("")
     catalogue.write_notes(folder / "estop.mcap", ["wet"], "")
-    assert run_cli(["sessions", "--folder", ".", "--page"]) == 0
-    assert "sessions.html: 3 drives" in capsys.readouterr().out
+    assert "sessions.html: 3 drives" in cli("sessions", "--folder", ".", "--page").out
     page = (folder / "sessions.html").read_text(encoding="utf-8")
     assert '<a href="a%20%231%20%3Cb%3E.html">a #1 &lt;b&gt;</a>' in page
     assert page.count("<a ") == 1
@@ -129,10 +125,8 @@ def test_the_page_leads_to_each_drives_page_from_wherever_it_lies(folder, tmp_pa
     assert run_cli(["sessions", "--page", str(folder)]) == ExitCode.UNREADABLE
 
 
-def test_a_command_without_a_session_takes_the_last_one_and_says_so(folder, capsys):
-    assert run_cli(["info"]) == 0
-    said = capsys.readouterr()
+def test_a_command_without_a_session_takes_the_last_one_and_says_so(folder, cli):
+    said = cli("info")
     assert said.out.startswith("straight.mcap")
     assert "session: " in said.err
-    assert run_cli(["info", "@-3"]) == 0
-    assert capsys.readouterr().out.startswith("circle.mcap")
+    assert cli("info", "@-3").out.startswith("circle.mcap")

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from steerd.car_model.path.path_spec import parse_path
-from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.sessions import compare
 from steerd.daemon.sessions.compare import STEP, check_same_lane, find_shift, overlay
@@ -76,14 +75,14 @@ def test_a_drive_is_itself_at_no_shift_and_another_at_a_given_one():
         overlay(read, read, 1e3)
 
 
-def test_drives_without_a_lane_are_compared_over_time_alone(tmp_path, capsys):
-    paths = [str(write_noise(tmp_path / f"{name}.mcap", 2, 50)) for name in "ab"]
+def test_drives_without_a_lane_are_compared_over_time_alone(tmp_path, cli):
+    paths = [write_noise(tmp_path / f"{name}.mcap", 2, 50) for name in "ab"]
     page = tmp_path / "ab.html"
-    assert run_cli(["plot", *paths, "-o", str(page)]) == 0
+    cli("plot", *paths, "-o", page)
     text = page.read_text(encoding="utf-8")
     assert "Not compared along a lane: a.mcap" in text
     assert "Over the same time" in text
     assert "The difference is b.mcap minus a.mcap." in text
-    assert run_cli(["plot", *paths, paths[0], "-o", str(page)]) == ExitCode.INVALID
-    assert run_cli(["plot", *paths, paths[0], "--shift", "1"]) == ExitCode.USAGE
-    assert "--shift is for two drives" in capsys.readouterr().err
+    cli("plot", *paths, paths[0], "-o", page, code=ExitCode.INVALID)
+    said = cli("plot", *paths, paths[0], "--shift", "1", code=ExitCode.USAGE).err
+    assert "--shift is for two drives" in said

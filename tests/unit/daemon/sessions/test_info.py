@@ -87,8 +87,6 @@ def test_json_has_no_numbers_that_json_lacks(tmp_path):
 
 
 # A report fits a terminal of 80 columns and breaks no word.
-
-
 def test_texts_of_a_file_reach_no_terminal_as_control_codes(tmp_path):
     path = tmp_path / "a.mcap"
     about = {"steerd.session": {"car": "\x1b]0;x\a"}}

@@ -54,7 +54,6 @@ def test_the_page_of_maps_names_every_column_and_it_and_the_examples_hold_maps()
 
 
 # The layouts in `examples/` name topics and fields that exist, and all of their own panels.
-
 LAYOUT = json.loads((ROOT / "examples" / "foxglove-layout.json").read_text())
 PANELS = LAYOUT["configById"].values()
 

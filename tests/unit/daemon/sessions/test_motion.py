@@ -50,13 +50,10 @@ def warnings_for(*, pose=1.0, yaw=1.0, front=0.0, steer=1.0, wheel=1.0, gyro=1.0
     heading = np.concatenate(([0.0], np.cumsum(turn[:-1] * 0.01)))
     x = np.cumsum(SPEED * np.cos(heading) * 0.01)
     y = np.cumsum(SPEED * np.sin(heading) * 0.01)
-    late = 0.15
-    signals = (
-        Signal(t - late, steer * np.arctan(0.33 * turn / SPEED)),
-        Signal(t, wheel * np.full_like(t, SPEED)),
-        Signal(t, gyro * turn),
-    )
-    return find_implausible(make_track(t, pose * x, pose * y, yaw * heading + front), *signals)
+    late, angle = 0.15, np.arctan(0.33 * turn / SPEED)
+    asked, rolled = Signal(t - late, steer * angle), Signal(t, wheel * np.full_like(t, SPEED))
+    track = make_track(t, pose * x, pose * y, yaw * heading + front)
+    return find_implausible(track, asked, rolled, Signal(t, gyro * turn))
 
 
 def test_a_plausible_drive_raises_no_warning_and_checks_need_no_poses():
@@ -82,7 +79,6 @@ def test_a_wrong_unit_or_sign_is_named(wrong, part):
 
 
 # The lateral error that pages and lists show: of a settled drive alone.
-
 START_NS = 10**18
 RUNNING = np.array([0, 1, 1, 1, 1, 1, 0, 0, 1, 1, 1, 1], dtype=bool)
 

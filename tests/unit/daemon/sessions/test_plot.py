@@ -15,20 +15,10 @@ from hypothesis import strategies as st
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.imports.import_session import MessageMaker
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.sessions import plot_page
+from steerd.daemon.sessions import plot_data, plot_page
 from steerd.daemon.sessions.info import load_recording, load_session, make_session_report
 from steerd.daemon.sessions.motion import make_track
-from steerd.daemon.sessions.plot_data import (
-    GAP,
-    LANE_HALF_WIDTH,
-    PANELS,
-    Curve,
-    Drawing,
-    Panel,
-    load_lane,
-    make_curve,
-    make_drawing,
-)
+from steerd.daemon.sessions.plot_data import LANE_HALF_WIDTH, Curve, make_curve, make_drawing
 from steerd.daemon.sessions.plot_page import BREAK, HELD, LEVELS, VALUE, decimate, make_grid, pack
 from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.steer_bus import messages as m
@@ -118,9 +108,9 @@ def test_ten_minutes_of_the_worst_noise_stay_small(tmp_path):
     info = replace(report.info, counts={**report.info.counts, 99: lasting})
     t = np.arange(60_000) * 0.01
     noise = (Curve(name, "other", t, rng.normal(size=t.size)) for name in "abcdefghijklmnopqrst")
-    panels = tuple(Panel(c.name, "m", (c,)) for c in noise)
+    panels = tuple(plot_data.Panel(c.name, "m", (c,)) for c in noise)
     track = make_track(t, *rng.normal(size=(3, t.size)))
-    drawing = Drawing(panels, track, rng.normal(size=t.size), None, 0.3, ())
+    drawing = plot_data.Drawing(panels, track, rng.normal(size=t.size), None, 0.3, ())
     page = plot_page.make_page(replace(report, info=info), drawing)
     assert 1_000_000 < len(page.encode()) < plot_page.SIZE_MAX
 
@@ -144,7 +134,7 @@ def test_the_lane_comes_from_the_session(tmp_path):
 
     def lane_of(name, options, files=None):
         path = write_noise(tmp_path / f"{name}.mcap", 2, 20, options=options, files=files)
-        return load_lane(load_session(path))
+        return plot_data.load_lane(load_session(path))
 
     elsewhere = RunOptions("", path="csv:/somewhere/else.csv,place=as-is")
     lane = lane_of("a", elsewhere, kept)
@@ -169,7 +159,6 @@ def test_the_table_holds_the_curves_and_figures_are_the_same_each_time(tmp_path)
 
 
 # Curves: no peak is lost, no break is bridged, what was packed comes out again.
-
 NUMBERS = st.floats(-1e6, 1e6)
 
 
@@ -220,12 +209,10 @@ def test_a_break_lasts_until_the_next_value():
 
 
 # What is drawn: curves with breaks, settled errors, the lane, what was learnt.
-
-
 def test_a_curve_is_sorted_and_broken_where_samples_are_missing_and_none_without_a_number():
     t = np.array([0.2, 0.0, 0.1, 2.0])
     (curve,) = make_curve("e1", "estimate", t, np.array([3.0, 1.0, 2.0, 4.0]))
-    assert curve.t == pytest.approx([0.0, 0.1, 0.2, 0.2 + GAP / 2, 2.0])
+    assert curve.t == pytest.approx([0.0, 0.1, 0.2, 0.2 + plot_data.GAP / 2, 2.0])
     assert curve.value == pytest.approx([1.0, 2.0, 3.0, nan, 4.0], nan_ok=True)
     assert list(make_curve("e1", "estimate", t, np.full(4, nan))) == []
 
@@ -259,7 +246,6 @@ def test_the_lane_is_as_wide_as_the_watchdog_of_the_recorded_car_file_allows(tmp
 
 
 # The learner's panels of the plot page.
-
 NS = 1_000_000_000
 START = 1_700_000_000 * NS
 EMPTY = Model(make_header(START, BODY), 0, -1, -1, 0, 0, nan, *(nan,) * 34, "learning", *("",) * 4)
@@ -294,4 +280,4 @@ def test_a_parameter_has_a_band_and_a_change_a_line(session):
 
 def test_what_was_not_learnt_has_no_panel(session):
     titles = [panel.title for panel in make_drawing(session).panels]
-    assert titles == [title for title, _, fields, _ in PANELS if "steer_bias" in fields]
+    assert titles == [title for title, _, fields, _ in plot_data.PANELS if "steer_bias" in fields]

@@ -33,7 +33,6 @@ def test_edits_with_an_invalid_result_are_refused(key, value, said):
 
 
 # F1TENTH's `vesc.yaml`: read, written, refused, and through `steerd config`.
-
 YAML = """/**:
   ros__parameters:
     # erpm (electrical rpm) = speed_to_erpm_gain * speed
@@ -63,11 +62,10 @@ def test_an_invalid_yaml_is_refused(text, said):
         read_vesc_yaml(text, F1TENTH)
 
 
-def test_yaml_by_command_line(tmp_path, capsys):
+def test_yaml_by_command_line(tmp_path, cli):
     yaml, car, back = tmp_path / "vesc.yaml", tmp_path / "car.toml", tmp_path / "back.yaml"
     yaml.write_text(YAML)
-    assert run_cli(["config", "--from-vesc-yaml", str(yaml)]) == 0
-    car.write_text(capsys.readouterr().out)
+    car.write_text(cli("config", "--from-vesc-yaml", yaml).out)
     assert "# erpm per m/s" in car.read_text()
     table = tomllib.loads(car.read_text())["vesc"]
     assert all(table[key] == value for (_, key), value in

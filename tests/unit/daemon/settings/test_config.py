@@ -9,7 +9,6 @@ import tomlkit
 
 from steerd.car_model.car_file import default_car_path, parse_car
 from steerd.controller.limits import LimitError
-from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.settings.config import make_settings
 from steerd.daemon.settings.thresholds import BOUNDS, Thresholds
@@ -18,15 +17,13 @@ from steerd.mocap_link.gates import GateConfig
 DEFAULT = default_car_path().read_text()
 
 
-def test_what_is_printed_is_the_commented_default_and_passes_the_check(tmp_path, capsys):
-    assert run_cli(["config"]) == 0
-    printed = capsys.readouterr().out
+def test_what_is_printed_is_the_commented_default_and_passes_the_check(tmp_path, cli):
+    printed = cli("config").out
     assert printed == DEFAULT
     assert max(map(len, printed.splitlines())) <= 80
     path = tmp_path / "car.toml"
     path.write_text(printed)
-    assert run_cli(["config", "--check", str(path)]) == 0
-    shown = capsys.readouterr().out
+    shown = cli("config", "--check", path).out
     assert "wheelbase 0.3302 m" in shown
     assert "4614 ERPM per m/s" in shown
     assert "the servo reaches 18.0° and 15.1°" in shown
@@ -61,11 +58,10 @@ def settings_with(section, **values):
     ("record", {"requires": True}, "did you mean required?"),
     ("record", {"disk_free_min_mb": 99}, "at least 100 MB"),
 ])  # fmt: skip
-def test_what_a_car_file_cannot_say_is_named(tmp_path, capsys, section, values, said):
+def test_what_a_car_file_cannot_say_is_named(tmp_path, cli, section, values, said):
     path = tmp_path / "car.toml"
     path.write_text(text_with(section, **values))
-    assert run_cli(["config", "--check", str(path)]) == ExitCode.INVALID
-    assert said in capsys.readouterr().err
+    assert said in cli("config", "--check", path, code=ExitCode.INVALID).err
 
 
 def test_a_car_file_replaces_thresholds_and_gates_let_the_noise_of_a_localiser_pass():
@@ -79,7 +75,6 @@ def test_a_car_file_replaces_thresholds_and_gates_let_the_noise_of_a_localiser_p
 
 
 # Thresholds: defaults of `docs/reference/safety-requirements.md#s4`, bounds no car file lifts.
-
 SQUARE = ((-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0))
 
 

@@ -13,7 +13,6 @@ from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import wheelbase
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import ORIGIN, Command
-from steerd.daemon.cli.main import run_cli
 from steerd.daemon.setup.car_export import make_gym_yaml, make_mjcf
 
 GYM = [
@@ -88,9 +87,8 @@ def test_mujoco_drives_the_circle_that_steerd_predicts(c_sf, c_sr):
     assert abs(theirs - expected) < 0.5 * abs(without_slip - expected)
 
 
-def test_the_command_says_what_is_lost(tmp_path, capsys):
+def test_the_command_says_what_is_lost(tmp_path, cli):
     for name in ("car.xml", "car.YAML"):
-        assert run_cli(["export", str(default_car_path()), "-o", str(tmp_path / name)]) == 0
-        said = capsys.readouterr().out
+        said = cli("export", default_car_path(), "-o", tmp_path / name).out
         assert "What is lost:" in said
         assert max(map(len, said.splitlines()[1:])) <= 80

@@ -95,8 +95,6 @@ def test_a_drive_that_identifies_little_is_named_or_refused():
 
 
 # Gain, centre, delay and stops of the steering are recovered from drives with known ones.
-
-
 def followed(t, command, wheel, speed, seed):
     """A track of which nothing is looked at but speed and turning, and what was commanded."""
     slip = (1 / CAR.c_sf - 1 / CAR.c_sr) / (CAR.mu * 9.81)
@@ -166,8 +164,6 @@ def test_drives_that_identify_no_steering():
 
 
 # Sessions as input of calibrations: the body's poses, wheel speed and commands on one clock.
-
-
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     """Two seconds of a circle on simulated hardware."""
@@ -190,8 +186,6 @@ def test_rejected_poses_calibrate_nothing_and_what_a_session_lacks_is_named(reco
 
 
 # The jackknife against a case with a known answer.
-
-
 def test_the_jackknife_of_a_mean_is_its_standard_error():
     values = np.random.default_rng(3).normal(size=200)
     (sd,) = data.jackknife_sd(np.ones(200, dtype=bool), lambda keep: [values[keep].mean()])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from steerd.daemon.cli.commands.probe import format_found
-from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.daemon.setup import probe, probe_ask
@@ -158,14 +157,13 @@ DEAF = SimpleNamespace(  # a receiver whose server never answers
 )  # fmt: skip
 
 
-def test_nobody_pushes_for_a_source_that_does_not_answer(monkeypatch, capsys):
+def test_nobody_pushes_for_a_source_that_does_not_answer(monkeypatch, cli):
     looks = count(1)  # at a clock that is a second later at each
     clock = SimpleNamespace(now_ns=lambda: next(looks) * 1_000_000_000)
     monkeypatch.setattr(probe_ask, "make_receiver", lambda url, config: DEAF)
     monkeypatch.setattr(probe_ask, "MonotonicClock", lambda: clock)
     line = ["mocap", "check", "--mocap", "natnet://192.0.2.1/car", "--seconds", "60"]
-    assert run_cli(line) == ExitCode.UNREADABLE
-    said = capsys.readouterr().err
+    said = cli(*line, code=ExitCode.UNREADABLE).err
     assert "no answer for 3 s" in said
     assert "push" not in said
     assert 1 < next(looks) <= 20, "given up long before the 60 s"

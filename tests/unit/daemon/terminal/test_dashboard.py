@@ -77,8 +77,6 @@ def test_an_estimate_that_is_not_there_shows_no_number():
 
 
 # The last lines of a run.
-
-
 def lines(drill, car=None):
     plan = make_plan(RunOptions(str(car or default_car_path()), drill=drill), design=False)
     tally = Tally(count=4, square=4e-4, worst=0.02, distance=12.0, driven_ns=6_000_000_000)
@@ -102,8 +100,6 @@ def test_a_plan_was_driven_and_its_own_car_file_is_identified_from(drill, lane, 
 
 
 # `steerd watch`: what it shows is what was received, and silence is not standing still.
-
-
 def sample(name, message):
     return Sample(f"steerd/car1/{name}", encode(message))
 

@@ -113,7 +113,6 @@ def test_the_keys_of_a_watch(operate):
 
 
 # The lease: held while the car needs somebody, and no longer.
-
 KEEPALIVE = int(m.RequestKind.KEEPALIVE)
 HELD = [SupervisorState[name] for name in ("SELF_TEST", "ARMED", "RUNNING", "STOPPING")]
 
@@ -156,8 +155,6 @@ def test_other_keys_take_no_hold_and_lose_none(key):
 
 
 # Keys move the servo and set its centre and stops; the session's servo becomes a new scaling.
-
-
 def after(keys, scaling=F1TENTH):
     servo = Servo(scaling.servo_offset, scaling)
     for key in keys:
@@ -168,8 +165,7 @@ def after(keys, scaling=F1TENTH):
 def test_moves_stay_between_0_and_1():
     assert after("aaA").position == pytest.approx(0.5304 - 0.01 - 0.05)
     assert after(["\x1b[C", "\x1b[D", "d"]).position == pytest.approx(0.5354)
-    assert after("A" * 30).position == 0.0
-    assert after("D" * 30).position == 1.0
+    assert (after("A" * 30).position, after("D" * 30).position) == (0.0, 1.0)
 
 
 def test_centre_and_stops_are_set_where_the_servo_is():

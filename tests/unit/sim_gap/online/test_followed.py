@@ -50,34 +50,31 @@ ALONE = {"proven": (Cause("marker_offset", "observe", "sensor", SHIFT, 0.95, (),
 """A name that stood alone before others came beside it, and its parameters before the change."""
 
 
-@pytest.mark.parametrize(
-    ("changes", "numbers"),
-    [
-        ([change("steer_gain", 0.88)], {"steer_gain": 0.88}),
-        ([change("steer_bias", 0.02)], {"steer_bias": 0.02}),
-        ([change("steer_delay", 0.04)], {"steer_delay": 0.05}),
-        ([change("tyre_friction", 0.6, 0.0)], {"c_sf": 4.718}),  # as stiff below its limit
-        ([change("tyre_friction", 0.6, 1.0)], {"c_sf": 0.6 * 4.718, "c_sr": 0.6 * 5.4562}),
-        ([change("mocap_yaw", 0.03)], {"body_yaw": 0.03}),
-        # What moved by chance stays as it was, and what an effect was before is no part of it.
-        ([change("marker_offset", 0.03, 0.0014)], {"body_forward": 0.03, "body_left": 0.0}),
-        ([change("marker_offset", -0.0014, 0.0016)], {"body_forward": 0.0, "body_left": 0.0016}),
-        ([change("marker_offset", 0.037, 0.001, was=(0.007, 0.001))], {"body_forward": 0.03}),
-        ([change("steer_bias", 0.02), change("steer_gain", 0.9)],
-         {"steer_bias": 0.02, "steer_gain": 0.9}),
-        # A set that is all lateness is followed as its likeliest; how sure the set is counts.
-        ([change("steer_delay", 0.04, beside=("steer_lag", "mocap_latency"))],
-         {"steer_delay": 0.05}),
-        ([change("steer_delay", 0.04, sure=0.5, beside=("steer_lag",), together=0.9)],
-         {"steer_delay": 0.05}),
-        # A name that stood alone survives others beside it, with its value now or then.
-        ([change("marker_offset", 0.032, 0.0, beside=("cornering_stiffness",), **ALONE)],
-         {"body_forward": 0.022}),
-        ([change("cornering_stiffness", 0.8, beside=("marker_offset", "yaw_inertia"), **ALONE)],
-         {"body_forward": 0.02}),
-        ([change("steer_bias", 0.02, **ALONE)], {"steer_bias": 0.02, "body_forward": 0.0}),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("changes", "numbers"), [
+    ([change("steer_gain", 0.88)], {"steer_gain": 0.88}),
+    ([change("steer_bias", 0.02)], {"steer_bias": 0.02}),
+    ([change("steer_delay", 0.04)], {"steer_delay": 0.05}),
+    ([change("tyre_friction", 0.6, 0.0)], {"c_sf": 4.718}),  # as stiff below its limit
+    ([change("tyre_friction", 0.6, 1.0)], {"c_sf": 0.6 * 4.718, "c_sr": 0.6 * 5.4562}),
+    ([change("mocap_yaw", 0.03)], {"body_yaw": 0.03}),
+    # What moved by chance stays as it was, and what an effect was before is no part of it.
+    ([change("marker_offset", 0.03, 0.0014)], {"body_forward": 0.03, "body_left": 0.0}),
+    ([change("marker_offset", -0.0014, 0.0016)], {"body_forward": 0.0, "body_left": 0.0016}),
+    ([change("marker_offset", 0.037, 0.001, was=(0.007, 0.001))], {"body_forward": 0.03}),
+    ([change("steer_bias", 0.02), change("steer_gain", 0.9)],
+     {"steer_bias": 0.02, "steer_gain": 0.9}),
+    # A set that is all lateness is followed as its likeliest; how sure the set is counts.
+    ([change("steer_delay", 0.04, beside=("steer_lag", "mocap_latency"))],
+     {"steer_delay": 0.05}),
+    ([change("steer_delay", 0.04, sure=0.5, beside=("steer_lag",), together=0.9)],
+     {"steer_delay": 0.05}),
+    # A name that stood alone survives others beside it, with its value now or then.
+    ([change("marker_offset", 0.032, 0.0, beside=("cornering_stiffness",), **ALONE)],
+     {"body_forward": 0.022}),
+    ([change("cornering_stiffness", 0.8, beside=("marker_offset", "yaw_inertia"), **ALONE)],
+     {"body_forward": 0.02}),
+    ([change("steer_bias", 0.02, **ALONE)], {"steer_bias": 0.02, "body_forward": 0.0}),
+])  # fmt: skip
 def test_a_named_change_is_followed_by_its_numbers_alone(aim, changes, numbers):
     *past, last = changes
     file = learnt_of(load_car(default_car_path()).car)
@@ -86,18 +83,17 @@ def test_a_named_change_is_followed_by_its_numbers_alone(aim, changes, numbers):
             assert value == pytest.approx(numbers.get(name, getattr(file, name)), rel=1e-6), name
 
 
-@pytest.mark.parametrize(
-    ("doubtful", "why"),
-    [(change("steer_bias", 0.02, verdict="changed"), "looked into"),
-     (change("steer_bias", 0.02, verdict="unexplained"), "unexplained"),
-     (change("steer_bias", 0.02, sure=0.5), "not sure"),
-     (change("marker_offset", 0.03, 0.0, beside=("cog_offset",)), "or cog_offset"),
-     (change("steer_delay", 0.04, sure=0.5, beside=("steer_lag",), together=0.7), "not sure"),
-     (change("steer_delay", 0.04, beside=("steer_lag", "yaw_inertia")), "or yaw_inertia"),
-     (change("yaw_inertia", 0.8, beside=("cog_offset",), **ALONE), "or cog_offset"),
-     (change("marker_offset", 0.03, 0.0, verdict="unexplained", **ALONE), "unexplained"),
-     (change("marker_offset", 0.03, 0.0, sure=0.5, **ALONE), "not sure")],
-)  # fmt: skip
+@pytest.mark.parametrize(("doubtful", "why"), [
+    (change("steer_bias", 0.02, verdict="changed"), "looked into"),
+    (change("steer_bias", 0.02, verdict="unexplained"), "unexplained"),
+    (change("steer_bias", 0.02, sure=0.5), "not sure"),
+    (change("marker_offset", 0.03, 0.0, beside=("cog_offset",)), "or cog_offset"),
+    (change("steer_delay", 0.04, sure=0.5, beside=("steer_lag",), together=0.7), "not sure"),
+    (change("steer_delay", 0.04, beside=("steer_lag", "yaw_inertia")), "or yaw_inertia"),
+    (change("yaw_inertia", 0.8, beside=("cog_offset",), **ALONE), "or cog_offset"),
+    (change("marker_offset", 0.03, 0.0, verdict="unexplained", **ALONE), "unexplained"),
+    (change("marker_offset", 0.03, 0.0, sure=0.5, **ALONE), "not sure"),
+])  # fmt: skip
 def test_doubt_is_said_and_not_followed(aim, doubtful, why):
     assert why in aim(doubtful)
     assert why in aim(now=doubtful)

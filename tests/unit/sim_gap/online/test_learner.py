@@ -58,13 +58,10 @@ def before(learner, drives, learn):
     return learn(learner, (s for s in drives(AT + LONGEST) if s.t < AT))
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "seconds"),
-    [
-        ("mocap_yaw", 0.03, LONGEST), ("speed_scale", 0.95, 5.0), ("steer_lag", 0.08, 7.0),
-        ("steer_backlash", 0.03, 7.0),  # it has no gradient where there is none
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "value", "seconds"), [
+    ("mocap_yaw", 0.03, LONGEST), ("speed_scale", 0.95, 5.0), ("steer_lag", 0.08, 7.0),
+    ("steer_backlash", 0.03, 7.0),  # it has no gradient where there is none
+])  # fmt: skip
 def test_a_change_is_noticed_and_named(learner, drives, learn, before, name, value, seconds):
     seen = (s for s in drives(AT + LONGEST, name, AT) if AT <= s.t < AT + seconds)
     change = learn(learner, seen, before).change

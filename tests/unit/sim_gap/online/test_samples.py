@@ -26,12 +26,11 @@ def test_samples_are_kept_for_as_long_as_a_window_needs_them():
         assert kind[-1].t - kind[0].t >= samples.LEAD + samples.WINDOW
 
 
-@pytest.mark.parametrize(
-    "sample",
-    [samples.PoseSeen(2.0, math.nan, 0.0, 0.0), samples.PoseSeen(math.inf, 0.0, 0.0, 0.0),
-     samples.PoseSeen(0.5, 9.0, 9.0, 9.0), samples.Ordered(0.2, 0.3, 9.0),
-     samples.Rolled(1.0, math.inf)],
-)  # fmt: skip
+@pytest.mark.parametrize("sample", [
+    samples.PoseSeen(2.0, math.nan, 0.0, 0.0), samples.PoseSeen(math.inf, 0.0, 0.0, 0.0),
+    samples.PoseSeen(0.5, 9.0, 9.0, 9.0), samples.Ordered(0.2, 0.3, 9.0),
+    samples.Rolled(1.0, math.inf),
+])  # fmt: skip
 def test_what_is_no_number_or_comes_late_is_left_out(sample):
     recent = driven(1.5)
     assert samples.take(recent, sample) == recent

@@ -122,16 +122,13 @@ def change(effect, after, was):
     return Change(0.0, 1.0, None, (), finding, was)
 
 
-@pytest.mark.parametrize(
-    ("effect", "after", "was", "moved"),
-    [
-        ("marker_offset", (0.018, 0.001), (-0.0115, 0.0004),
-         [(0.0295, 0.5, "m"), (0.0006, 0.5, "m")]),
-        ("speed_scale", (0.76,), (0.8,), [(0.95, 0.625, "1")]),  # of a ratio the quotient
-        ("lateral_load_transfer", (0.5, 0.7), (0.2, 0.62),
-         [(0.3, 0.5, "1"), (0.7, 0.5, "1")]),  # the form is no amount
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("effect", "after", "was", "moved"), [
+    ("marker_offset", (0.018, 0.001), (-0.0115, 0.0004),
+     [(0.0295, 0.5, "m"), (0.0006, 0.5, "m")]),
+    ("speed_scale", (0.76,), (0.8,), [(0.95, 0.625, "1")]),  # of a ratio the quotient
+    ("lateral_load_transfer", (0.5, 0.7), (0.2, 0.62),
+     [(0.3, 0.5, "1"), (0.7, 0.5, "1")]),  # the form is no amount
+])  # fmt: skip
 def test_an_effect_moved_by_a_difference_or_a_quotient(effect, after, was, moved):
     amounts = amounts_of(change(effect, after, was)).values()
     assert [unit for _, _, unit in amounts] == [unit for _, _, unit in moved]

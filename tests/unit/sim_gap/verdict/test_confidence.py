@@ -18,18 +18,13 @@ VALUES = {"steer_delay": (0.03,), "steer_lag": (0.05,), "mass": (1.5, 1.0), "yaw
           "lateral_load_transfer": (0.1, 1.0), "marker_offset": (0.01, 0.0),
           "cornering_stiffness": (1.3,), "accel_limit": (1.5,)}  # fmt: skip
 NAMES = [f"{name}.{p.name}" for name in VALUES for p in EFFECTS[name].parameters]
-LIBRARY = SimpleNamespace(
-    effect=EFFECTS.get,
-    likelihood=SimpleNamespace(
-        predictor=SimpleNamespace(
-            augmented=SimpleNamespace(
-                places=lambda name: [i for i, n in enumerate(NAMES) if n.startswith(f"{name}.")],
-                values=lambda name: EFFECTS[name].nulls,
-            )
-        )
-    ),
-    controls={},
+AUGMENTED = SimpleNamespace(
+    places=lambda name: [i for i, n in enumerate(NAMES) if n.startswith(f"{name}.")],
+    values=lambda name: EFFECTS[name].nulls,
 )
+PREDICTOR = SimpleNamespace(augmented=AUGMENTED)
+LIKELIHOOD = SimpleNamespace(predictor=PREDICTOR)
+LIBRARY = SimpleNamespace(effect=EFFECTS.get, likelihood=LIKELIHOOD, controls={})
 
 
 def _hypothesis(*effects, probability=1.0, size=SMALL, moved=0.0, values=None, spun=0):
@@ -49,9 +44,7 @@ def _hypothesis(*effects, probability=1.0, size=SMALL, moved=0.0, values=None, s
     return Hypothesis(effects, posterior, 0.0, probability)
 
 
-def _found(
-    *hypotheses: Hypothesis, before: float = LARGE, covering: tuple[float, float] = (0.0, 0.0)
-):
+def _found(*hypotheses, before=LARGE, covering=(0.0, 0.0)):
     """Hypotheses, and the base alone with what probability they leave."""
     left = 1.0 - sum(h.probability for h in hypotheses)
     every = [*hypotheses, _hypothesis(probability=left, size=before)]
@@ -160,13 +153,12 @@ def test_names_that_leave_most_of_a_gap_too_small_to_count_are_not_said():
     assert (told.name, told.causes, told.something_else) == ("unexplained", (), 1.0)
 
 
-@pytest.mark.parametrize(
-    ("name", "values", "told"),
-    [("yaw_inertia", (EFFECTS["yaw_inertia"].parameters[0].high,), True),
-     ("yaw_inertia", (1.5,), False), ("yaw_inertia", EFFECTS["yaw_inertia"].nulls, False),
-     ("lateral_load_transfer", (1.0, EFFECTS["lateral_load_transfer"].parameters[1].high), False),
-     ("lateral_load_transfer", (EFFECTS["lateral_load_transfer"].parameters[0].high, 0.6), True)],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "values", "told"), [
+    ("yaw_inertia", (EFFECTS["yaw_inertia"].parameters[0].high,), True),
+    ("yaw_inertia", (1.5,), False), ("yaw_inertia", EFFECTS["yaw_inertia"].nulls, False),
+    ("lateral_load_transfer", (1.0, EFFECTS["lateral_load_transfer"].parameters[1].high), False),
+    ("lateral_load_transfer", (EFFECTS["lateral_load_transfer"].parameters[0].high, 0.6), True),
+])  # fmt: skip
 def test_a_value_at_its_bound_explains_a_part_at_most(name, values, told):
     """The form of an effect may lie at its bound, its size may not."""
     found = judge_case(LIBRARY, _found(_hypothesis(name, values={name: values})), True)

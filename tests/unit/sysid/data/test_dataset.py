@@ -40,21 +40,20 @@ STUCK = np.r_[:100, [100] * 180, 280:400]
 ONCE = np.arange(1200).reshape(400, 3) == 23  # the eighth yaw
 
 
-@pytest.mark.parametrize(
-    ("spoil", "reason"),
-    [(lambda t, a, v, p: _make(t, a, v, p, t - 0.7 * LATE), "goes back by 0.69"),
-     (lambda t, a, v, p: _make(np.r_[t, t + 4.0], np.tile(a, 2), np.tile(v, 2), p, t + 1.5 * LATE),
-      "stays in place"),
-     (lambda t, a, v, p: _make(t, a, v, p[STUCK]), "freeze for 1.8"),
-     (lambda t, a, v, p: _make(t, a, v, np.where(ONCE, np.nan, p)), "not a number"),
-     (lambda t, a, v, p: _make(t, a, v, p * [1000.0, 1000.0, 1.0]), "spread over"),
-     (lambda t, a, v, p: _make(t, a, v, 0.0 * p), "never moved"),
-     (lambda t, a, v, p: _make(t[:50], a[:50], v[:50], p[:50]), "of driving"),
-     (lambda t, a, v, p: _make(t[:1], a[:1], v[:1], p[:1]), "of driving"),
-     (lambda t, a, v, p: _make(t, a * np.nan, v, p), "no steering commands"),
-     (lambda t, a, v, p: _make(t, a, v, p[:0], t[:0]), "no poses"),
-     (lambda t, a, v, p: _make(t * np.nan, a, v, p), "time")],
-)  # fmt: skip
+@pytest.mark.parametrize(("spoil", "reason"), [
+    (lambda t, a, v, p: _make(t, a, v, p, t - 0.7 * LATE), "goes back by 0.69"),
+    (lambda t, a, v, p: _make(np.r_[t, t + 4.0], np.tile(a, 2), np.tile(v, 2), p, t + 1.5 * LATE),
+     "stays in place"),
+    (lambda t, a, v, p: _make(t, a, v, p[STUCK]), "freeze for 1.8"),
+    (lambda t, a, v, p: _make(t, a, v, np.where(ONCE, np.nan, p)), "not a number"),
+    (lambda t, a, v, p: _make(t, a, v, p * [1000.0, 1000.0, 1.0]), "spread over"),
+    (lambda t, a, v, p: _make(t, a, v, 0.0 * p), "never moved"),
+    (lambda t, a, v, p: _make(t[:50], a[:50], v[:50], p[:50]), "of driving"),
+    (lambda t, a, v, p: _make(t[:1], a[:1], v[:1], p[:1]), "of driving"),
+    (lambda t, a, v, p: _make(t, a * np.nan, v, p), "no steering commands"),
+    (lambda t, a, v, p: _make(t, a, v, p[:0], t[:0]), "no poses"),
+    (lambda t, a, v, p: _make(t * np.nan, a, v, p), "time"),
+])  # fmt: skip
 def test_bad_drives_are_refused(spoil, reason):
     with pytest.raises(DataError, match=reason) as caught:
         spoil(*_good())

@@ -98,8 +98,6 @@ def test_poses_of_a_centimetre_and_steady_circles_show_the_curvature():
 
 
 # Drives at one speed: other starts, and what is left open where ends differ.
-
-
 @pytest.fixture(scope="module")
 def slow(make_drive, truth):
     return make_drive(truth, 24.0, 4, speed=1.2)
@@ -143,8 +141,6 @@ def test_one_speed_tells_no_more_than_it_can(slow, truth):
 
 
 # Start values that do not stand in the way: inertia, loads and end stops of another car.
-
-
 def _run(steer=0.3, speed=True, servo_frame=0.0):
     t = np.arange(0.0, 8.0, 0.05)
     angles = steer * np.sin(t)

@@ -134,12 +134,10 @@ def test_discs_are_few_and_none_lies_in_another():
             assert np.hypot(x - a, y - b) > max(radius, other)
 
 
-@pytest.mark.parametrize(
-    ("where", "badness"),
-    [(np.zeros((0, 2)), np.zeros(0)), (np.array([[1.0, 2.0]]), np.array([9.0])),
-     (np.zeros((6, 2)), np.arange(6.0)), (np.arange(12.0).reshape(6, 2), np.ones(6))],
-    ids=["no window", "one window", "the car stood", "all alike"],
-)  # fmt: skip
+@pytest.mark.parametrize(("where", "badness"), [
+    (np.zeros((0, 2)), np.zeros(0)), (np.array([[1.0, 2.0]]), np.array([9.0])),
+    (np.zeros((6, 2)), np.arange(6.0)), (np.arange(12.0).reshape(6, 2), np.ones(6)),
+], ids=["no window", "one window", "the car stood", "all alike"])  # fmt: skip
 def test_where_no_place_differs_there_is_no_disc(where, badness):
     assert suspicious_discs(where, badness) == []
 

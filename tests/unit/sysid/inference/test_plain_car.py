@@ -81,10 +81,9 @@ def test_any_start_leads_to_the_same_car(make_drive, seed):
     assert np.abs(_pulls(found, Model(DEFAULT_CAR))).max() < 4.5
 
 
-@pytest.mark.parametrize(
-    ("far", "seed"),
-    [((0.325, 0.214, 2.939, 2.824), 4), ((0.324, 0.324, 7.0, 7.0), 80), (SLID, 6072)],
-)
+@pytest.mark.parametrize(("far", "seed"), [
+    ((0.325, 0.214, 2.939, 2.824), 4), ((0.324, 0.324, 7.0, 7.0), 80), (SLID, 6072),
+])  # fmt: skip
 def test_a_start_in_the_long_valley_of_similar_cars_arrives(make_drive, truth, far, seed):
     found = fit([make_drive(truth, 60.0, seed)], Model(DEFAULT_CAR), start=_from(far))
     assert np.abs(_pulls(found, truth)).max() < 4.0

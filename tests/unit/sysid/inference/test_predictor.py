@@ -64,12 +64,11 @@ def test_a_window_that_multiplies_changes_a_thousandfold_keeps_its_error_and_pul
     assert max(np.abs(at.by_z).max(), np.abs(at.by_x).max()) < WILD
 
 
-@pytest.mark.parametrize(
-    ("effect", "values"),
-    [("steer_delay", (0.0134,)), ("steer_backlash", (0.02,)), ("steer_rate_limit", (1.5,)),
-     ("tyre_relaxation", (0.03,)), ("mocap_latency", (0.021,)), ("marker_offset", (0.02, 0.01)),
-     ("grip_drift", (0.3, 1.0))],
-)  # fmt: skip
+@pytest.mark.parametrize(("effect", "values"), [
+    ("steer_delay", (0.0134,)), ("steer_backlash", (0.02,)), ("steer_rate_limit", (1.5,)),
+    ("tyre_relaxation", (0.03,)), ("mocap_latency", (0.021,)), ("marker_offset", (0.02, 0.01)),
+    ("grip_drift", (0.3, 1.0)),
+])  # fmt: skip
 def test_readings_without_derivatives_are_the_same_numbers(healthy, effect, values):
     space = make_space(healthy.augmented, (), [effect])
     x = healthy.guess.copy()
