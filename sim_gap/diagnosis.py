@@ -6,7 +6,7 @@ handed the prediction before the reserved drives are looked at).
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -306,4 +306,15 @@ def _notes(search: _Search, judged: Verdict, fits: Fits) -> list[str]:
         names = ", ".join(search.found.untested)
         notes.append(f"could not be tested, the simulation diverges with it: {names}")
     bounded = (f"{n} is at its bound: not this, but what it makes up for" for n in judged.at_bound)
-    return [*notes, *bounded]
+    return [*notes, *bounded, *_offsets(judged, fits)]
+
+
+def _offsets(judged: Verdict, fits: Fits) -> Iterator[str]:
+    """Where the base is off by itself, so that the simulation takes less or more of a cause."""
+    for cause in judged.causes:
+        rows = zip(cause.parameters.items(), fits.values[cause.effect], strict=True)
+        for (name, (value, sd, unit)), taken in rows:
+            if abs(taken - value) > sd:
+                off, unit = taken - value, "" if unit == "1" else f" {unit}"
+                text = f"{cause.effect}: the base car is off by {off:.3g}{unit} by itself"
+                yield f"{text}, so simulation and car file take {name} = {taken:.3g}{unit}"

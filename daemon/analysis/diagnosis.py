@@ -94,9 +94,11 @@ class Diagnosis(asked.Finding):
         """The base with the found effects, and with what still holds of what was known of it."""
         source = f"steerd diagnose: {', '.join(path.name for path in self.drives.paths)}"
         values = {
-            f"{cause.effect}.{name}": Learned(value, sd, source)
-            for cause in self.causes
-            for name, (value, sd, _) in cause.parameters.items()
+            f"{cause.effect}.{name}": Learned(value, estimate.sd, source)
+            for cause, taken in (
+                (cause, self.findings.values[cause.effect]) for cause in self.causes
+            )
+            for value, (name, estimate) in zip(taken, cause.parameters.items(), strict=True)
         }
         car = make_car(self.base, values, path)
         sections = self.base.sections

@@ -192,10 +192,7 @@ def _read(car_file: CarFile, name: str, make: Callable[[Mapping[str, Any]], S]) 
 
 
 def _at_speed(car_file: CarFile, speed: float | None) -> ControllerConfig:
-    """The file's controller, at the cruise speed that was asked for beside it.
-
-    Files of before have a `rate_hz` that no loop ever had; the rate is the run's.
-    """
+    """The file's controller at the speed asked for; `rate_hz` of older files was never used."""
     config = _read(
         car_file, "controller",
         lambda table: load_controller_config({k: v for k, v in table.items() if k != "rate_hz"}),

@@ -23,8 +23,7 @@ from steerd.sysid.inference.space import FLOORS, LIMITS, least_sd
 REFERENCE = 50  # windows that the car is learnt from: 25 s, two laps of an ordinary figure-eight
 ALARM = 20.0  # a change is called at this ratio per what is usual [nats]
 DOUBT = 5.0  # windows at which a ratio is larger are not followed, and not usual [nats]
-SETTLED = 16
-"""Windows after which the name of a change counts: eight seconds, a lap of a small eight."""
+SETTLED = 16  # windows after which a change's name counts: eight seconds, a lap of a small eight
 DELAY = 8  # what a window shows counts as usual only so many windows later
 FADING = 1.0 / 1200.0  # share of what is usual that is forgotten with a window: ten minutes
 PERIOD = 1.0  # time between reports [s]

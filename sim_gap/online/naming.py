@@ -30,8 +30,7 @@ from steerd.sysid.inference.space import make_space, nuisance_names
 
 LOOKS = (5, 6, 8, 11, 16, 21, 27, 34, 42, 50)
 """Windows after a change at which they are diagnosed: each time costs a third of a second."""
-LATEST = 30
-"""No more windows than these are diagnosed, the newest: what came slowly is over in them."""
+LATEST = 30  # windows that are diagnosed at most, the newest: what came slowly is over in them
 EARLY = 8
 """Before so many windows it is too early to say that nothing explains a change, or that there was
 none."""

@@ -14,8 +14,7 @@ from steerd.sysid.data.segments import SPEED_MIN
 WINDOW = 0.5
 """Length of a window [s]: some ten of the car's time constants, and a change shows soon."""
 LEAD = HISTORY + 0.1  # commands known before a window [s]; on the grid some of it is lost
-LATE = 0.06
-"""A window is closed when a pose this much younger has come: telemetry may lag behind [s]."""
+LATE = 0.06  # a window is closed when a pose this much younger has come: telemetry may lag [s]
 KEPT = LEAD + WINDOW + 1.0  # how long samples are kept [s]
 
 

@@ -33,8 +33,7 @@ from steerd.sysid.inference.space import Space, informative_effects, make_space
 
 MEMORY = 240.0
 """Windows after which information has faded to 1/e, where others bring the same: two minutes."""
-INFORMED = 0.05
-"""A direction counts as informed by a window from this share of its most informed one."""
+INFORMED = 0.05  # a window informs a direction from this share of its most informed one
 DISCREPANCY = 16.0
 """Variances are this much larger than a likelihood says: what a model misses is alike from lap to
 lap, and does not average out as noise does."""
@@ -168,10 +167,8 @@ PER_DAY = 0.01
 """Each day adds this share of the car file's variance: a tenth of its standard deviation on the
 first day, and after 25 days what was learnt says no more than the file."""
 FORGOTTEN = 0.25  # share of the car file's variance from which on a number is not remembered
-MEASURED = ("lf", "lr")
-"""Never remembered: a ruler knows them better than any lane, and they stay as they are."""
-CONTRADICTED = 3.0
-"""Standard deviations, joined, between memory and first windows from which on it is given up."""
+MEASURED = ("lf", "lr")  # never remembered: a ruler knows them better than any lane
+CONTRADICTED = 3.0  # joined standard deviations off the first windows: memory is given up
 
 
 Remembered = Mapping[str, tuple[float, float]]  # (value, standard deviation) by name; SI units

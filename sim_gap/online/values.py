@@ -28,8 +28,7 @@ from steerd.sim_gap.online.naming import Known
 from steerd.sim_gap.verdict.confidence import Cause
 from steerd.sysid.inference.augmented_car import AugmentedCar
 
-INFORMED = 0.5
-"""A number is identified by a drive that makes its standard deviation so many times smaller."""
+INFORMED = 0.5  # a drive identifies a number whose standard deviation it halves
 SHARP = 0.03  # or that is known to this share of its bounds' half width, from before
 Amount = tuple[float, float, str]
 _UNITS = {p.name: p.unit for p in PARAMETERS}
@@ -96,8 +95,7 @@ def is_ratio(null: float, before: float) -> bool:
 
 
 SURE = 0.8  # a name, or a set of which each is lateness, is followed from this confidence on
-BY_ITSELF = ("steer_bias", "speed_gain")
-"""Numbers of the base that a lane identifies whatever else the model misses."""
+BY_ITSELF = ("steer_bias", "speed_gain")  # a lane identifies them whatever the model misses
 BEYOND_DOUBT = 3.0  # standard deviations by which a number must have moved to be followed
 LATENESS = frozenset(("steer_delay", "steer_lag", "mocap_latency"))
 """Effects that a lane barely distinguishes and a lane keeper need not: each is time that passes

@@ -254,11 +254,10 @@ def headline(found: Diagnosis) -> str:
         return "What the simulation does not predict of these drives looks like noise."
     if found.verdict == "unjudged":
         last = found.before.errors[-1]
-        off = f"{short(1e3 * last.position.value)} mm off after {last.seconds:g} s"
-        return (
-            f"These drives cannot be judged: the simulation is {off}, and what was learnt as noise "
-            "hides why."
+        off = (
+            f"the simulation is {short(1e3 * last.position.value)} mm off after {last.seconds:g} s"
         )
+        return f"These drives cannot be judged: {off}, and what was learnt as noise hides why."
     if found.verdict == "unexplained" or not found.causes:
         return "There is a gap, and none of the known effects explains it."
     names = " and ".join(cause.effect for cause in found.causes)
@@ -270,12 +269,8 @@ def headline(found: Diagnosis) -> str:
 
 def ambiguity(cause: Cause) -> str:
     """What is not distinguishable from a cause."""
-    parts = []
-    if cause.ambiguous_with:
-        parts.append(f"on these drives: {', '.join(cause.ambiguous_with)}")
-    if cause.alias:
-        parts.append(f"in general: {cause.alias}")
-    return "; ".join(parts)
+    here = f"on these drives: {', '.join(cause.ambiguous_with)}" if cause.ambiguous_with else ""
+    return "; ".join(filter(None, [here, cause.alias and f"in general: {cause.alias}"]))
 
 
 def short(value: float) -> str:

@@ -29,7 +29,8 @@ class Cause:
     effect: str  # its name; `stage` and `family` of it
     stage: str
     family: str
-    parameters: dict[str, Estimated]  # by name
+    # By name; without what the base's healthy drives show of them, which is the model's error
+    parameters: dict[str, Estimated]
     confidence: float  # posterior probability that it is a cause (0 to 1)
     ambiguous_with: tuple[str, ...]  # effects that may be what it stands for
     alias: str  # what no drive distinguishes from it, in words; empty if nothing
@@ -103,7 +104,9 @@ def _cause(library: Library, found: Findings, name: str, kept: float) -> Cause:
     square = np.diag(best.posterior.covariance)[places_of(best.point.space.chart.free, name)]
     own = np.array(augmented.values(name))
     if control is not None:  # what the model's errors add in healthy drives, they add here
-        square = square + np.diag(control.covariance) + (control.values - own) ** 2
+        low, high = np.array([(p.low, p.high) for p in effect.parameters]).T
+        values = np.clip(values - (control.values - own), low, high)
+        square = square + np.diag(control.covariance)
     sizes = np.array([p.role is Role.SIZE for p in effect.parameters])
     least = np.minimum(np.abs(values), np.abs(values - own))
     wrong = c.MODEL_ERROR_FORCES if effect.stage is Stage.FORCES else c.MODEL_ERROR

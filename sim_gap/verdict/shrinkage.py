@@ -26,8 +26,7 @@ _EXCESS_LEAST = 0.01  # below this there is no excess to take a share of
 _SIGMAS = 2.0
 """How far noise alone may be from what it leaves on average, and an excess from nothing, in
 standard errors."""
-_WIDE = 0.5
-"""A share whose 90 % interval is wider than this says nothing of the drives it was taken from."""
+_WIDE = 0.5  # a share whose 90 % interval is wider says nothing of the drives it was taken from
 
 
 @dataclass(frozen=True)

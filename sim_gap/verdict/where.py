@@ -33,8 +33,7 @@ its bins."""
 _WORTH_NAMING = 1.5  # lower end of a regime's ratio before the sentence names it
 BIN_LEAST = 8
 _BINS = 3
-_SIZES = np.array([0.3, 0.3, 3.0, 0.01, 0.1])
-"""Sizes from which the search for hidden inputs starts."""
+_SIZES = np.array([0.3, 0.3, 3.0, 0.01, 0.1])  # where the search for hidden inputs starts
 FEW = 0.1  # share of the windows that are few
 MOST = 0.5  # share of the excess error that is most of it
 _LIKE = 0.2  # what has more than this share of the worst window's excess belongs to it

@@ -249,7 +249,7 @@ def _control(library: Library, base: Point, effect: Effect, temper: float) -> Co
     """Where an effect explains the drives best, were it free of bounds; within them, its gain.
 
     No wider than its own prior. A base whose drive is never late enough to be at its best says so
-    by a dead time below zero: a later one is that much more uncertain.
+    by a dead time below zero: a later change is counted from there.
     """
     along = slice_along(library, base, effect)
     if along is None:

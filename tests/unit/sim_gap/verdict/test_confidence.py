@@ -102,12 +102,13 @@ def test_what_differs_by_an_equations_form_alone_is_named_with_it(name, other):
     assert name != "mass" or cause.ambiguous_with == (other,)
 
 
-def test_what_healthy_drives_show_of_an_effect_is_part_of_its_error():
+def test_what_healthy_drives_show_of_an_effect_is_none_of_the_change():
     shown = Control("steer_delay", np.array([0.004]), np.array([[9e-6]]), 0.1)
     library = SimpleNamespace(**{**vars(LIBRARY), "controls": {"steer_delay": shown}})
     (cause,) = judge_case(library, _found(_hypothesis("steer_delay")), True).causes
-    wrong = (0.03 * c.MODEL_ERROR) ** 2
-    assert cause.parameters["delay"].sd == pytest.approx(np.sqrt(1e-6 + 9e-6 + 16e-6 + wrong))
+    value, sd, _ = cause.parameters["delay"]
+    assert value == pytest.approx(0.03 - 0.004)
+    assert sd == pytest.approx(np.sqrt(1e-6 + 9e-6 + (value * c.MODEL_ERROR) ** 2))
 
 
 def test_a_wrong_model_adds_to_an_error_by_the_change_or_the_value_whichever_is_less():

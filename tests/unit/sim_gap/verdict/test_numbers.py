@@ -1,6 +1,5 @@
 """Scores, shares and moments against numbers worked out by hand; no car is compiled here."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -28,9 +27,8 @@ def test_position_errors_that_grow_are_told_by_their_lead_and_too_large_ones_wit
     assert grown_leads(before, _gap((0.1, 0.004), (1.0, 0.010), (3.0, 0.15))) == (3.0,)
     assert grown_leads(before, _gap((0.1, 0.005), (1.0, 0.025), (3.0, 0.05))) == (0.1, 1.0)
     before = _gap((1.0, 0.025), (3.0, 0.97))
-    spun = Lead(3.0, *[Error(0.97, 0.04, 1.2)] * 3)
     assert is_far(before)
-    assert not is_far(replace(before, errors=(before.errors[0], spun)))
+    assert not is_far(Gap(0.9, (0.8, 1.0), (Lead(3.0, *[Error(0.97, 0.04, 1.2)] * 3),)))
     told = SimpleNamespace(verdict="unjudged", before=before, causes=(), next_manoeuvre=None)
     assert "cannot be judged: the simulation is 970 mm off after 3 s" in headline(told)
     assert "steerd identify" in manoeuvre_words(told)
