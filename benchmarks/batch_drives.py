@@ -10,11 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.native.windows import (
+    STATES,
     HeldCommands,
     make_kernels,
     make_window_blocks,
     march,
+    parameter_vector,
     view_by_window,
 )
 from steerd.car_model.params import DEFAULT_CAR, Car
@@ -63,9 +66,11 @@ def make_log(car: Car[float], begin: float, seed: list[int]) -> NDArray[np.float
     speed = 1.6 + 0.5 * np.sin(rng.uniform(0.4, 0.7) * t)
     commands = np.column_stack([rng.uniform(0.17, 0.23) * chirp, speed])
     blocks = make_window_blocks(np.array([[0, len(t), 0]]), np.zeros(1))
-    first = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
-    held = HeldCommands(commands, STEP)
-    path = march(make_kernels(), np.array(car), first, held, blocks, len(t))
+    model = load_car(default_car_path()).model._replace(car=car)  # its tyres level off
+    kernels, held = make_kernels(model.effects, model.chassis), HeldCommands(commands, STEP)
+    first = np.zeros((1, STATES + kernels.memory))
+    first[0, 3] = 1.0
+    path = march(kernels, parameter_vector(model), first, held, blocks, len(t))
     poses = view_by_window(path, 1)[0, :-1, :3] + rng.normal(0.0, NOISE, (len(t), 3))
     return np.column_stack([begin + t, poses, commands])
 
