@@ -93,13 +93,11 @@ class Diagnosis(asked.Finding):
     def make_car(self, path: Path) -> CarFile:
         """The base with the found effects, and with what still holds of what was known of it."""
         source = f"steerd diagnose: {', '.join(path.name for path in self.drives.paths)}"
-        values = {
-            f"{cause.effect}.{name}": Learned(value, estimate.sd, source)
-            for cause, taken in (
-                (cause, self.findings.values[cause.effect]) for cause in self.causes
-            )
-            for value, (name, estimate) in zip(taken, cause.parameters.items(), strict=True)
-        }
+        values = {}
+        for cause in self.causes:  # what the base lacks, which need not be the car's change
+            taken = zip(cause.parameters.items(), self.findings.values[cause.effect], strict=True)
+            for (name, (_, sd, _)), value in taken:
+                values[f"{cause.effect}.{name}"] = Learned(value, sd, source)
         car = make_car(self.base, values, path)
         sections = self.base.sections
         known = {name: sections[name] for name in TABLES if name in sections}

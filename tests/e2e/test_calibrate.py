@@ -14,8 +14,7 @@ TRUTH = (
 def test_mocap_calibrate_finds_what_was_injected(drive_fast, tmp_path, cli):
     drive = drive_fast(f"--path figure8 --speed 1 --duration 25 {TRUTH}").session
     out = tmp_path / "car.toml"
-    shown = cli("mocap", "calibrate", drive, "-o", out)
-    assert len(shown.out.splitlines()) < 12
+    assert len(cli("mocap", "calibrate", drive, "-o", out).out.splitlines()) < 12
     car = tomllib.loads(out.read_text())
     assert car["mocap"]["mount_yaw_deg"] == pytest.approx(2.292, abs=0.1)
     assert car["mocap"]["marker_rear_x"] == pytest.approx(0.17145 + 0.03, abs=6e-3)

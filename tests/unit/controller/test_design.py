@@ -65,8 +65,7 @@ def test_the_table_spans_the_speeds_linearly_between_and_holds_outside():
     assert (table.speeds[0], table.speeds[-1]) == (0.1, pytest.approx(1.6))
     assert table.spacing <= 0.25
     assert table.pasts == 3
-    slow = design_table(DEFAULT_CAR, ControllerConfig(), TIMING, 0.05)
-    assert slow.speeds == (0.1,)
+    assert design_table(DEFAULT_CAR, ControllerConfig(), TIMING, 0.05).speeds == (0.1,)
     by_poles = ControllerConfig(design="pole_placement")
     assert design_table(DEFAULT_CAR, by_poles, TIMING, 1.0).speeds[0] == 0.5
     table = GainTable(1.0, 0.5, ((0.0, 10.0), (1.0, 20.0), (5.0, 0.0)))

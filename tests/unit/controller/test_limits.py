@@ -48,8 +48,7 @@ def test_an_order_is_held_at_each_bound_and_passes_before_it(axis, bound, side, 
 
 
 def test_a_cap_is_reached_at_the_deceleration_limit_may_be_zero_and_must_be_a_speed():
-    out = pass_gate(0.0, 2.0, last=(0.0, 2.0), cap=0.0)
-    assert out.order.speed == 2.0 - DECEL_STEP
+    assert pass_gate(0.0, 2.0, last=(0.0, 2.0), cap=0.0).order.speed == 2.0 - DECEL_STEP
     assert pass_gate(0.0, 0.0, cap=0.0).verdict == lim.Verdict.PASSED
     for cap in (nan, -1e-300, -inf):
         assert pass_gate(0.0, 0.0, cap=cap).verdict == lim.Verdict.NOT_FINITE

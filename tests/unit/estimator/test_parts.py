@@ -144,8 +144,7 @@ def test_poses_far_apart_start_no_filter_and_those_of_a_carried_car_one_without_
     assert initial_belief(CONFIG, poses, None) is None
     assert initial_belief(CONFIG, [poses[0]] * 10, None) is None
     poses = [make_pose(i * 10 * MS, 0.0, 0.01 * i, 0.0) for i in range(10)]
-    belief = initial_belief(CONFIG, poses, None)
-    assert belief.mean[5] == 0.0
+    assert initial_belief(CONFIG, poses, None).mean[5] == 0.0
 
 
 # Settings.

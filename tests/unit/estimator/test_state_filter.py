@@ -119,8 +119,7 @@ def test_a_body_swap_is_counted_and_never_moves_the_estimate():
     for k in range(20, 30):
         now = t + k * 10 * MS
         again = step(FILTER, again, now, (make_pose(now, 3.0, 2.0, 0.5),))
-    fresh = predict_to(FILTER, again, now)
-    assert fresh.state.x == pytest.approx(3.0, abs=1e-6)
+    assert predict_to(FILTER, again, now).state.x == pytest.approx(3.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("begin", [60, 110, 161])
@@ -221,8 +220,7 @@ def test_measurements_out_of_time_are_not_fused_and_one_that_comes_twice_counts_
     before = predict_to(FILTER, state, t)
     for wrong in (t - 700 * MS, t + 3 * MS, t + 10**10):
         state = step(FILTER, state, t, (make_pose(wrong, 1.0, 2.0, 0.5),))
-    after = predict_to(FILTER, state, t)
-    assert after.state == before.state
+    assert predict_to(FILTER, state, t).state == before.state
     t, state = standing()
     pose = make_pose(t - 8 * MS, 1.0005, 2.0, 0.5)
     once = step(FILTER, state, t, (pose,))

@@ -73,11 +73,21 @@ def test_where_the_body_is_and_the_centre_of_gravity_are_known_less_well_togethe
         assert found.sd[name] > 0.01
 
 
-def test_a_dead_time_that_would_be_below_zero_makes_a_later_one_uncertain(drive, base):
-    """The log stamps every speed command a step late: no dead time is short enough."""
-    runs = drive("", runs=4, seconds=6.0, seed=3)
+def _stamped_late(runs):
     late = [np.column_stack([r.commands[:, 0], np.roll(r.commands[:, 1], 1)]) for r in runs]
-    found = refine(base, [replace(r, commands=c) for r, c in zip(runs, late, strict=True)])
-    shown = found.sections["knowledge"]["controls"]["drive_delay"]
+    return [replace(r, commands=c) for r, c in zip(runs, late, strict=True)]
+
+
+def test_a_later_dead_time_is_counted_from_one_that_would_be_below_zero(drive, base):
+    """The log stamps every speed command a step late: no dead time is short enough."""
+    found = refine(base, _stamped_late(drive("", runs=4, seconds=6.0, seed=3)))
+    off = found.sections["knowledge"]["controls"]["drive_delay"][0][0]
     assert found.car.drive_delay < 1e-3
-    assert shown[0][0] < -0.25 * runs[0].h
+    assert off < -0.0025
+    later = _stamped_late(drive("drive_delay=0.06", runs=4, seconds=6.0, seed=4))
+    told = diagnose(Case(later, found, GapOptions(pairs=False), horizons=False))
+    (taken,), (value, sd, _) = told.values["drive_delay"], told.causes[0].parameters["delay"]
+    assert value == pytest.approx(0.06, abs=2.0 * sd)
+    assert taken < 0.06 - 2.0 * sd
+    assert value - taken == pytest.approx(-off)
+    assert any("the base car is off by" in note for note in told.notes)

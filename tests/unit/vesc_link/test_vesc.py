@@ -234,8 +234,7 @@ def test_old_firmware_accepts_its_own_table_alone():
     link, vesc = v.VescLink(F1TENTH), Vesc(FW_3_00)
     connect(link, vesc)
     link.make_tick(SILENT, 0)
-    new_table = encode_frame(encode_reply(VALUES, FW_7_01))
-    assert link.on_bytes(MS, new_table) == []
+    assert link.on_bytes(MS, encode_frame(encode_reply(VALUES, FW_7_01))) == []
 
 
 def test_frames_that_answer_nothing_are_no_events(link):
@@ -305,8 +304,7 @@ def test_session_limits_only_ever_tighten():
 
 
 def test_long_configuration_passes_the_running_ceiling_only_when_requested(link, vesc):
-    stray = encode_frame(encode_reply(vesc.appconf))
-    assert link.on_bytes(0, stray + bytes(600)) == []
+    assert link.on_bytes(0, encode_frame(encode_reply(vesc.appconf)) + bytes(600)) == []
     link.request(c.GetAppConf())
     events = link.on_bytes(MS, vesc.answer(link.make_tick(DRIVE, MS)))
     assert i.AppConf in kinds(events)

@@ -122,8 +122,7 @@ def test_noise_is_learnt_where_the_car_moves(monkeypatch):
         "steerd.sysid.inference.car_posterior.learn_sections",
         lambda car, runs: (seen.extend(runs), {"noise": noise_section(NOISE)})[1],
     )
-    creeping = _straight(np.full(2000, 0.5 * SPEED_MIN))
-    assert learn_known(BASE, (creeping,)) == {}
+    assert learn_known(BASE, (_straight(np.full(2000, 0.5 * SPEED_MIN)),)) == {}
     run = _straight(np.repeat([0.0, 1.5], 1000))
     assert learn_known(BASE, (run,)) == {"noise": noise_section(NOISE)}
     assert [r.duration for r in seen] == [r.duration for r in moving_segments([run])]

@@ -91,8 +91,7 @@ def test_a_proposal_is_changed_line_by_line():
 def test_a_csv_s_map_is_explained_and_the_steering_turned(tmp_path, monkeypatch, cli):
     source = write_csv(tmp_path / "run.csv", sign=-1.0)
     talk(monkeypatch, "car = blue", "")
-    said = cli("import", "--ask", source).out
-    assert "to the left, 0° to the right" in said
+    assert "to the left, 0° to the right" in cli("import", "--ask", source).out
     the_map = parse_map((tmp_path / "run.map.toml").read_text())
     assert the_map.columns["steer_cmd"].scale == pytest.approx(-np.pi / 180)
     session = open_session(tmp_path / "run.mcap")
