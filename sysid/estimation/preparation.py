@@ -234,23 +234,25 @@ def possible_starts(
     return (model._replace(car=moved), model)
 
 
-def sliding_starts(
-    models: Sequence[Model[float]], runs: Sequence[Run], stated: Stated
-) -> tuple[Model[float], ...]:
-    """The starts on tyres that never level off, and near the limit of grip on some that do.
+def slides(models: Sequence[Model[float]], runs: Sequence[Run], stated: Stated) -> bool:
+    """Whether tyres are so near the limit of grip that their curve is not known beforehand."""
+    lateral = measure_excitation(runs).lateral_accel
+    known = stated.holds("tyre_saturation")
+    return not known and any(lateral > SLIDING * m.car.mu * GRAVITY for m in models)
+
+
+def sliding_starts(models: Sequence[Model[float]]) -> tuple[Model[float], ...]:
+    """The starts on tyres that never level off, and on some that do.
 
     On tyres whose force grows with slip for ever the search ends at a car that spins.
     """
-    effect, lateral = EFFECTS["tyre_saturation"], measure_excitation(runs).lateral_accel
-    if stated.holds(effect.name):
-        return tuple(models)
     found = []
     for tyres in ((), *TYRES):
         for model in models:
-            own = dict(zip(model.effects, model.values, strict=True)) | {effect: tyres}
+            own = dict(zip(model.effects, model.values, strict=True))
+            own[EFFECTS["tyre_saturation"]] = tyres
             kept = {e: values for e, values in own.items() if values}
-            if not tyres or lateral > SLIDING * model.car.mu * GRAVITY:
-                found.append(model._replace(effects=tuple(kept), values=tuple(kept.values())))
+            found.append(model._replace(effects=tuple(kept), values=tuple(kept.values())))
     return tuple(found)
 
 

@@ -65,7 +65,7 @@ _LOUDER, _LOUDEST = 3.0, 80.0
 """Noise grows by this factor, and to so many times the usual at most, until ..."""
 _FAR_OFF = 0.2
 """... a smaller share of the windows is bounded at the start."""
-_STIFFER, _ENOUGH = 3.0, 60.0
+_STIFFER, _ENOUGH = 3.0, 30.0
 """Stiffness of a further start, and driving that is enough to choose between them [s]."""
 _ROUNDS = 2
 """How often noise and base are learnt in turn."""
@@ -239,13 +239,9 @@ def _learnt_noise(fitted: FittedCar) -> Noise:
 def _in_turn(fitted: FittedCar, runs: Sequence[Run], rounds: int) -> FittedCar:
     """Noise and car, each given the other; then what regimes are allowed beyond the noise."""
     for _ in range(rounds):
-        noise = _learnt_noise(fitted)
-        fitted = _again(fitted, noise)
-    noise = _learnt_noise(fitted)
-    fitted = _again(fitted, noise)
+        fitted = _again(fitted, _learnt_noise(fitted))
     left = robust_mean(unweighed(fitted))
     should = noise_share(fitted.likelihood.predictor, float(estimate_noise(runs)[2]))
-    fitted = _again(fitted, calibrated(noise, left, should))
     excess = excess_of(fitted)
     weak = weak_knowledge(fitted.augmented, fitted.nuisance, fitted.shares)
     known = replace(weak, excess=tuple(e / excess[0] for e in excess))
@@ -253,7 +249,7 @@ def _in_turn(fitted: FittedCar, runs: Sequence[Run], rounds: int) -> FittedCar:
         fitted.likelihood.predictor, augmented=replace(fitted.augmented, knowledge=known)
     )
     likelihood = replace(fitted.likelihood, predictor=predictor)
-    return _again(replace(fitted, likelihood=likelihood), fitted.noise)
+    return _again(replace(fitted, likelihood=likelihood), calibrated(fitted.noise, left, should))
 
 
 def ratios(fitted: FittedCar) -> Array:
@@ -294,4 +290,4 @@ def _with_effects(fitted: FittedCar, point: Point, runs: Sequence[Run]) -> Fitte
     predictor = replace(fitted.likelihood.predictor, augmented=augmented)
     likelihood = replace(fitted.likelihood, predictor=predictor)
     grown = replace(fitted, likelihood=likelihood, point=point, nuisance=nuisance)
-    return _in_turn(grown, runs, 0)
+    return _in_turn(grown, runs, 1)

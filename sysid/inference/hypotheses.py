@@ -202,14 +202,13 @@ def explain(
         library: what may be a hypothesis.
         most: causes at most.
         progress: called with the share done.
-        known: an optimum of the base alone, if one was found before.
+        known: the base's optimum, where hypotheses begin; None for the base at its prior.
 
     Raises:
         FloatingPointError: the base car's simulation diverges.
     """
     search = _Search(library)
-    search.keep(known)
-    start = begin(library, (), (), library.likelihood.predictor.guess.copy())
+    start = known or begin(library, (), (), library.likelihood.predictor.guess.copy())
     search.grow(start, _FITTED)
     best = search.hypotheses()[0]
     if not best.effects and leaves_gap(best.point):  # no one effect may be enough
@@ -255,7 +254,12 @@ def begin(library: Library, names: Sequence[str], values: Sequence[float], x: Ar
 
 
 def _again(library: Library, names: Sequence[str], point: Point) -> Point:
-    """A hypothesis with its base back at the prior; its effects' values and starts stay."""
+    """A hypothesis with its base back at the prior; its effects' values and starts stay.
+
+    A prior that is no knowledge is no place to begin at.
+    """
+    if not library.known:
+        return point
     known = dict(zip(point.space.chart.free, point.z.tolist(), strict=True))
     own = [n for n in library.space(names).chart.free if n.partition(".")[0] in names]
     try:

@@ -60,6 +60,7 @@ class Asked(NamedTuple):
 class PlainCar:
     """A plain car at its best on some windows."""
 
+    start: Model[float]  # where its search began
     likelihood: Likelihood  # the windows, under the instruments' noise
     point: Point  # the car there
     noise: Noise  # of the instruments
@@ -165,7 +166,7 @@ def search_plain(
         point = minimise(likelihood, with_size(likelihood, point, 0.0))
     except (FloatingPointError, np.linalg.LinAlgError):
         return None
-    return PlainCar(likelihood, point, noise)
+    return PlainCar(asked.model, likelihood, point, noise)
 
 
 def covariance_of(found: PlainCar, doubts: Sequence[tuple[str, float]]) -> Array:

@@ -174,8 +174,12 @@ def fresh(likelihood: Likelihood, point: Point) -> Point:
 
 
 def _moved(likelihood: Likelihood, point: Point, dz: Array) -> Point | None:
-    """The point a step on, with the derivatives of before; None where too much diverges."""
-    x = point.x + point.at.dx - point.at.kx @ dz
+    """The point a step on, with the derivatives of before; None where too much diverges.
+
+    Starts go with the coordinates; their own steps follow, each where it is better: all of them
+    taken at once, a step of nothing could lead up.
+    """
+    x = point.x - point.at.kx @ dz
     z = np.clip(point.z + dz, point.space.low, point.space.high)
     error, finite = likelihood.predictor.errors(point.space.chart.parameters(z), x)
     if not finite:

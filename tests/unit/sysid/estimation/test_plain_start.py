@@ -78,11 +78,12 @@ def test_what_is_held_stays():
 
 def test_tyres_level_off_in_further_starts_where_a_drive_uses_up_the_grip():
     hard, grip = [drive(0.33, 1)], Model(DEFAULT_CAR._replace(mu=0.2))
-    found = prep.sliding_starts([grip], hard, NOTHING)
+    found = prep.sliding_starts([grip])
     assert [m.values for m in found] == [(), ((1.0, 0.5),), ((3.0, 0.5),)]
-    assert prep.sliding_starts([MODEL], hard, NOTHING) == (MODEL,)  # far from the limit
-    assert prep.sliding_starts(found[1:2], hard, NOTHING) == found  # whatever they do already
-    assert prep.sliding_starts([grip], hard, Stated(held=(TYRES.name,))) == (grip,)
+    assert prep.sliding_starts(found[1:2]) == found  # whatever they do already
+    assert prep.slides([grip], hard, NOTHING)
+    assert not prep.slides([MODEL], hard, NOTHING)
+    assert not prep.slides([grip], hard, Stated(held=(TYRES.name,)))
 
 
 def test_poses_of_a_centimetre_and_steady_circles_show_the_curvature():
