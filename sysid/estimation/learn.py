@@ -181,21 +181,18 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcom
     if plain is not None and max(plain.misfit.values()) <= plain_car.POOR:
         return plain
     try:
-        start, near = choose_start(_begun(task, drives, roughs), drives.fitted, task.stated)
+        starts = _starts(task)
+        if prep.slides(starts, drives.fitted, task.stated):  # little of which a plain car knows
+            starts = prep.sliding_starts(starts)
+        elif roughs:
+            starts = [roughs[0].start]
+        start, near = choose_start(starts, drives.fitted, task.stated)
         fitted = fit_car(start, drives.fitted, task.stated, near)
         return outcome.fit_of_windows(fitted, start, drives.fitted, _doubts(drives))
     except (FloatingPointError, ValueError):
         if plain is None:
             raise
         return plain
-
-
-def _begun(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Sequence[Model[float]]:
-    """The best rough car's start; of tyres that slide a plain car says little, so every one."""
-    starts = _starts(task)
-    if prep.slides(starts, drives.fitted, task.stated):
-        return prep.sliding_starts(starts)
-    return [rough.start for rough in roughs[:1]] or starts
 
 
 def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcome.Fit | None:

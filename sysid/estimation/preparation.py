@@ -241,7 +241,7 @@ def slides(models: Sequence[Model[float]], runs: Sequence[Run], stated: Stated) 
     return not known and any(lateral > SLIDING * m.car.mu * GRAVITY for m in models)
 
 
-def sliding_starts(models: Sequence[Model[float]]) -> tuple[Model[float], ...]:
+def sliding_starts(models: Sequence[Model[float]]) -> list[Model[float]]:
     """The starts on tyres that never level off, and on some that do.
 
     On tyres whose force grows with slip for ever the search ends at a car that spins.
@@ -253,7 +253,7 @@ def sliding_starts(models: Sequence[Model[float]]) -> tuple[Model[float], ...]:
             own[EFFECTS["tyre_saturation"]] = tyres
             kept = {e: values for e, values in own.items() if values}
             found.append(model._replace(effects=tuple(kept), values=tuple(kept.values())))
-    return tuple(found)
+    return found
 
 
 def steering_gain(runs: Sequence[Run], length: float) -> float:

@@ -1,9 +1,9 @@
 """A car fitted to healthy drives: car and noise in turn, under the errors of one second.
 
-Errors are weighed by instruments and disturbances both, the same measure by which a diagnosis
-judges, so that a healthy car has no gap to it. The search begins under a discrepancy as large as
-the start is wrong. Base parameters and the structure that every car has (tyres that level off, a
-bent linkage) are free together under weak priors.
+Errors are weighed by instruments and disturbances both, as a diagnosis weighs them, so that a
+healthy car has no gap to it. The search begins under a discrepancy as large as the start is wrong.
+Base parameters and the structure that every car has (tyres that level off, a bent linkage) are free
+together under weak priors.
 """
 
 # Why: docs/decisions/diagnosis.md#d52
@@ -151,10 +151,8 @@ def choose_start(
 ) -> tuple[Model[float], Array | None]:
     """The start from which these drives are explained best, and where its search ends (P,).
 
-    Of one start nothing is asked. Of several, each is tried on stiffer tyres as well.
-
-    From tyres that are too soft, hard bends lead to softer ones still instead of to ones that
-    level off.
+    Of one start nothing is asked. Of several, each is tried on stiffer tyres as well: from too soft
+    ones, hard bends lead to softer ones still instead of to ones that level off.
 
     Raises:
         FloatingPointError: the simulation diverges at every one.
@@ -245,9 +243,8 @@ def _in_turn(fitted: FittedCar, runs: Sequence[Run], rounds: int) -> FittedCar:
     excess = excess_of(fitted)
     weak = weak_knowledge(fitted.augmented, fitted.nuisance, fitted.shares)
     known = replace(weak, excess=tuple(e / excess[0] for e in excess))
-    predictor = replace(
-        fitted.likelihood.predictor, augmented=replace(fitted.augmented, knowledge=known)
-    )
+    augmented = replace(fitted.augmented, knowledge=known)
+    predictor = replace(fitted.likelihood.predictor, augmented=augmented)
     likelihood = replace(fitted.likelihood, predictor=predictor)
     return _again(replace(fitted, likelihood=likelihood), calibrated(fitted.noise, left, should))
 

@@ -1,18 +1,13 @@
 """The posterior of a car: what drives without a gap say of it, and how sure.
 
-Errors of one second are weighed by instruments and disturbances both, the same measure by which a
-diagnosis judges, so that a healthy car has no gap to it. The search begins under a discrepancy as
-large as the start is wrong. Base parameters and the structure that every car has (tyres that level
-off, a bent linkage) are free together under weak priors: their joint covariance is what a diagnosis
-may move. Beside it stands what these drives show of every effect: they are the controls of every
-later diagnosis, for a gap that an effect explains in a healthy car's drives is the model's error,
-and it comes again in the next drives.
+The joint covariance of a fit (`car_fit`) is what a diagnosis may move. Beside it stands what these
+drives show of every effect: they are the controls of every later diagnosis, for a gap that an
+effect explains in a healthy car's drives is the model's error, and it comes again in the next
+drives.
 """
 
 # Why: docs/decisions/diagnosis.md#d50
-# Why: docs/decisions/diagnosis.md#d52
 # Why: docs/decisions/diagnosis.md#d121
-# Why: docs/decisions/identification.md#d94
 # Why: docs/decisions/identification.md#d100
 
 from collections.abc import Sequence

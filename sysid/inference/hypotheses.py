@@ -254,10 +254,7 @@ def begin(library: Library, names: Sequence[str], values: Sequence[float], x: Ar
 
 
 def _again(library: Library, names: Sequence[str], point: Point) -> Point:
-    """A hypothesis with its base back at the prior; its effects' values and starts stay.
-
-    A prior that is no knowledge is no place to begin at.
-    """
+    """A hypothesis with its base back at the prior, where that is knowledge; the rest stays."""
     if not library.known:
         return point
     known = dict(zip(point.space.chart.free, point.z.tolist(), strict=True))
