@@ -81,9 +81,8 @@ def test_tyres_level_off_in_further_starts_where_a_drive_uses_up_the_grip():
     found = prep.sliding_starts([grip])
     assert [m.values for m in found] == [(), ((1.0, 0.5),), ((3.0, 0.5),)]
     assert prep.sliding_starts(found[1:2]) == found  # whatever they do already
-    assert prep.slides([grip], hard, NOTHING)
-    assert not prep.slides([MODEL], hard, NOTHING)
-    assert not prep.slides([grip], hard, Stated(held=(TYRES.name,)))
+    asked = [([grip], NOTHING), ([MODEL], NOTHING), ([grip], Stated(held=(TYRES.name,)))]
+    assert [prep.slides(m, hard, stated) for m, stated in asked] == [True, False, False]
 
 
 def test_poses_of_a_centimetre_and_steady_circles_show_the_curvature():
