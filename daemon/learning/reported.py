@@ -140,7 +140,7 @@ def format_model(model: m.Model) -> list[str]:
 
 
 def encode_model(model: m.Model) -> dict[str, Any]:
-    """JSON values: `gap` and `model`; times are UNIX."""
+    """JSON values: `gap` and `model`; times are UNIX, what is not known is null."""
     epoch_ns = m.stamp_ns(model.header) - model.mono_ns
     changes = [
         {
@@ -176,4 +176,4 @@ def _cause(change: ReportedChange) -> dict[str, Any]:
 
 
 def _number(p: ReportedValue) -> dict[str, Any]:
-    return {"value": p.value, "sd": p.sd, "unit": p.unit}
+    return {"value": finite(p.value), "sd": finite(p.sd), "unit": p.unit}

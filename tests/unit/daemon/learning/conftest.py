@@ -37,7 +37,7 @@ def make_report() -> Callable[..., m.Model]:
     def make(verdict: str = "none", *changes: ReportedChange) -> m.Model:
         values = [
             ReportedValue("steer_gain", 0.98, 0.012, "1", True),
-            ReportedValue("inertia_z", 0.046, 0.0093, "kg m^2", False),
+            ReportedValue("inertia_z", 0.046, nan, "kg m^2", False),
         ]
         model = make_model(State(seen=120), MONO, NOON - MONO, 3, {})
         return replace(model, verdict=verdict, details=pack(values, list(changes)))

@@ -51,9 +51,9 @@ def test_json_has_the_gap_and_the_model(make_report, make_change):
     (cause,) = gap["causes"]
     assert (cause["effect"], cause["alternatives"]) == ("steer_bias", ["mocap_yaw"])
     assert cause["parameters"]["bias"]["value"] == pytest.approx(0.0213)
-    gain = values["model"]["steer_gain"]
+    gain, inertia = values["model"]["steer_gain"], values["model"]["inertia_z"]
     assert gain == {"value": 0.98, "sd": 0.012, "unit": "1", "identifiable": True}
-    assert values["model"]["inertia_z"]["identifiable"] is False
+    assert inertia == {"value": 0.046, "sd": None, "unit": "kg m^2", "identifiable": False}
     unnamed = encode_model(make_report("changed", make_change("changed")))
     assert json.loads(json.dumps(unnamed, allow_nan=False))["gap"]["causes"] == []
 
