@@ -202,13 +202,14 @@ def explain(
         library: what may be a hypothesis.
         most: causes at most.
         progress: called with the share done.
-        known: the base's optimum, where hypotheses begin; None for the base at its prior.
+        known: an optimum of the base alone, if one was found before.
 
     Raises:
         FloatingPointError: the base car's simulation diverges.
     """
     search = _Search(library)
-    start = known or begin(library, (), (), library.likelihood.predictor.guess.copy())
+    search.keep(known)
+    start = begin(library, (), (), library.likelihood.predictor.guess.copy())
     search.grow(start, _FITTED)
     best = search.hypotheses()[0]
     if not best.effects and leaves_gap(best.point):  # no one effect may be enough
@@ -254,9 +255,7 @@ def begin(library: Library, names: Sequence[str], values: Sequence[float], x: Ar
 
 
 def _again(library: Library, names: Sequence[str], point: Point) -> Point:
-    """A hypothesis with its base back at the prior, where that is knowledge; the rest stays."""
-    if not library.known:
-        return point
+    """A hypothesis with its base back at the prior; its effects' values and starts stay."""
     known = dict(zip(point.space.chart.free, point.z.tolist(), strict=True))
     own = [n for n in library.space(names).chart.free if n.partition(".")[0] in names]
     try:
