@@ -182,7 +182,7 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcom
         return plain
     try:
         starts = _starts(task)
-        if prep.slides(starts, drives.fitted, task.stated):  # little of which a plain car knows
+        if prep.slides(starts, drives.fitted, task.stated):  # a plain car's tyres never do
             starts = prep.sliding_starts(starts)
         elif roughs:
             starts = [roughs[0].start]
