@@ -23,8 +23,7 @@ PIPE_BYTES = 1 << 20
 """Room for about 4 s of messages at 200 Hz (`docs/reference/safety-requirements.md#s2.3`)."""
 _HEAD = struct.Struct("<IHHIqq")
 _F_SETPIPE_SZ = 1031
-_JOINED_NS = 100_000_000
-"""Holes closer to each other are one."""
+_JOINED_NS = 100_000_000  # holes closer to each other are one
 _INDEX = {topic.name: index for index, topic in enumerate(TOPICS)}
 
 
@@ -214,8 +213,7 @@ class Gaps:
         return joined
 
 
-LEARNT_FROM = (topics.MOCAP, topics.ACTUATION, topics.VESC)
-"""Topics that a drive is learnt from."""
+LEARNT_FROM = (topics.MOCAP, topics.ACTUATION, topics.VESC)  # a drive is learnt from
 _WANTED = frozenset(topic.name for topic in (*LEARNT_FROM, topics.DESIGN))
 
 

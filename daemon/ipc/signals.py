@@ -63,15 +63,11 @@ Notify = Callable[[str], None]
 READY, ALIVE, STOPPING = "READY=1", "WATCHDOG=1", "STOPPING=1"
 
 
-def notify_nobody(_text: str) -> None:
-    """For runs that no service manager started."""
-
-
 def make_notify(environment: Mapping[str, str]) -> Notify:
     """A function that sends one state line; does nothing where no service manager listens."""
     address = environment.get("NOTIFY_SOCKET", "")
     if not address.startswith(("/", "@")):
-        return notify_nobody
+        return lambda _text: None
     path = "\0" + address[1:] if address.startswith("@") else address
 
     def notify(text: str) -> None:

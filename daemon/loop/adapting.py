@@ -19,14 +19,9 @@ from math import cos, exp, inf, nan, sin
 
 from steerd.car_model.path.path import project
 from steerd.car_model.state import Command, State
+from steerd.controller import lane_controller as lanes
 from steerd.controller.acceptance import Acceptance, check_design
 from steerd.controller.gain_table import N_LANE, N_TURNING, GainTable
-from steerd.controller.lane_controller import (
-    ControllerState,
-    ControlReport,
-    LaneController,
-    control,
-)
 from steerd.controller.lane_keeper import lane_errors
 from steerd.controller.learnt import (
     Design,
@@ -56,8 +51,8 @@ class Adapting:
     """Which design steers."""
 
     held: Acceptance | None  # what designs are held against; None where none is followed
-    file: LaneController  # the car file's controller
-    controller: LaneController  # the one in force
+    file: lanes.LaneController  # the car file's controller
+    controller: lanes.LaneController  # the one in force
     design: Design | None = None  # that it follows, None for the file's, with its number, else 0
     number: int = 0
     why: str = LEARNING  # why the file's is in force
@@ -84,7 +79,7 @@ class Adapting:
 
 
 def make_adapting(
-    file: LaneController, held: Acceptance | None = None, lateral: float = inf
+    file: lanes.LaneController, held: Acceptance | None = None, lateral: float = inf
 ) -> Adapting:
     """At the start: the file's design; `lateral` is the lateral error that stops the car [m]."""
     return Adapting(held, file, file, far_e1=FAR_SHARE * lateral)
@@ -156,7 +151,7 @@ def see_as_learnt(now: Adapting, state: State[float]) -> State[float]:
 
 def steer(
     before: Adapting,
-    memory: ControllerState,
+    memory: lanes.ControllerState,
     estimate: State[float],
     t_ns: int,
     *,
@@ -164,14 +159,14 @@ def steer(
     driving: bool,
     stop: bool,
     live: LiveValues = AS_DESIGNED,
-) -> tuple[Command[float], ControlReport, ControllerState, Adapting]:
+) -> tuple[Command[float], lanes.ControlReport, lanes.ControllerState, Adapting]:
     """One tick of the design in force; where it is another than before, no wheel moves for that.
 
     `before` and the controller's `memory` are the last tick's, `issued` is the last order.
     `driving`: a drive goes on, without a fault; `stop`: the car is to come to rest.
     """
     if before.held is None:
-        command, report, memory = control(
+        command, report, memory = lanes.control(
             before.controller, memory, estimate, t_ns, issued=issued, stop=stop, live=live
         )
         return command, report, memory, before
@@ -181,12 +176,12 @@ def steer(
     old = None
     if now.controller is not before.controller:
         seen = see_as_learnt(replace(before, servo=_step_servo(before, t_ns).servo), estimate)
-        old, _, _ = control(
+        old, _, _ = lanes.control(
             before.controller, memory, seen, t_ns, issued=issued, stop=stop, live=live
         )
         memory = hand_over(memory, now.controller.table.pasts)
     hint = memory.hint
-    command, report, memory = control(
+    command, report, memory = lanes.control(
         now.controller, memory, see_as_learnt(now, estimate), t_ns,
         issued=issued, stop=stop, live=live,
     )  # fmt: skip
@@ -200,7 +195,7 @@ def steer(
     return command, report, memory, replace(now, offset=offset, far=far, t_ns=t_ns)
 
 
-def hand_over(memory: ControllerState, pasts: int) -> ControllerState:
+def hand_over(memory: lanes.ControllerState, pasts: int) -> lanes.ControllerState:
     """The controller's memory for a design with another number of past references."""
     known = memory.past[:pasts]
     oldest = known[-1] if known else 0.0
@@ -257,16 +252,11 @@ REFUSED = "refused: "  # what a text begins with that says why a proposal was no
 
 
 class DesignDesk:
-    """Proposals in, messages to be taken out; knows no clock.
-
-    Attributes:
-        taken: the design that was taken last, or None.
-        refused: how many were refused.
-    """
+    """Proposals in, messages to be taken out; knows no clock."""
 
     def __init__(self) -> None:
-        self.taken: Design | None = None
-        self.refused = 0
+        self.taken: Design | None = None  # last
+        self.refused = 0  # so many
         self._number = 0
         # A design, the numbers in force that it is held against, and what is left of its check
         self._checking: tuple[Design, Learnt, Iterator[str]] | None = None
@@ -320,11 +310,11 @@ class DesignDesk:
             problem = next(pieces, None)
         except (ValueError, ArithmeticError) as error:  # numbers that no loop has
             problem = f"it cannot be computed: {error}"
+        if problem == "":  # this piece is good, more come
+            return
+        self._checking = None
         if problem:
-            self._checking = None
             self._refuse(problem)
-        elif problem is None:
-            self._checking = None
-            if now.car == against:  # else another is in force than it was held against
-                self.taken, self._renew = design, True
-                self._number += 1
+        elif now.car == against:  # else another is in force than it was held against
+            self.taken, self._renew = design, True
+            self._number += 1

@@ -115,11 +115,6 @@ class LaunchState(NamedTuple):
     done: bool = False  # the checks have passed
 
 
-def make_launch_state(start: LaunchInput) -> LaunchState:
-    """Return the state at a start: all sums zero."""
-    return LaunchState(start, start.x, start.y)
-
-
 def _advance(s: LaunchState, i: LaunchInput, wheelbase: float) -> LaunchState:
     distance = i.wheel_speed * max(0, i.t_ns - s.last.t_ns) / 1e9
     dx, dy = i.x - s.last.x, i.y - s.last.y

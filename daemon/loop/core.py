@@ -20,7 +20,7 @@ from steerd.daemon.loop.findings import CAUSES, Flag
 from steerd.daemon.loop.live import make_parameters
 from steerd.daemon.loop.loop import REQUESTS, Loop
 from steerd.daemon.loop.outgoing import TickResult
-from steerd.daemon.loop.transitions import SupervisorState, is_engaged
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.mocap_link.ingest import PoseIngest
 from steerd.mocap_link.source import Pose, SourceStatus
 from steerd.steer_bus import messages as m
@@ -28,7 +28,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode
 from steerd.steer_bus.standard import Log, make_time
 from steerd.vesc_link import identity
-from steerd.vesc_link.commands import GetMcConfTemp, SetCurrent, SetCurrentBrake
+from steerd.vesc_link.commands import Command, GetMcConfTemp, SetCurrent, SetCurrentBrake
 from steerd.vesc_link.frames import encode_frame
 from steerd.vesc_link.packets import encode_command
 from steerd.vesc_link.telemetry import Imu, Uptime, Values
@@ -50,13 +50,8 @@ class Core:
     """One car's control core.
 
     Attributes:
-        loop: decides.
-        link: the VESC's protocol.
-        outbox: outgoing messages.
         flags: bits of `Flag` from the runner; they stay until the runner clears them.
-        last: the latest tick's result, or None.
         source: the latest status of the mocap source, for people.
-        designs: where the learner's proposals are looked at.
         error: the first unexpected exception, or None.
     """
 
@@ -79,12 +74,10 @@ class Core:
         self._expected = True
         self._error_logged = False
 
-    # --- the links to VESC and mocap
-
     @property
     def may_link(self) -> bool:
         """Whether a port may be opened: one that comes back does not bring motion back."""
-        return not is_engaged(self.loop.supervisor.state) or self.loop.at_rest
+        return not self.loop.supervisor.state.engaged or self.loop.at_rest
 
     def open_link(self) -> None:
         """The port is open; who the VESC is will be asked."""
@@ -110,8 +103,6 @@ class Core:
         self.source = source
         self.flags &= ~Flag.MOCAP_REFUSED
         self.flags |= Flag.MOCAP_REFUSED if source.refused else 0
-
-    # --- events
 
     def on_serial(self, t_ns: int, data: bytes) -> None:
         """Bytes from the VESC; never raises."""
@@ -194,12 +185,10 @@ class Core:
 
     def make_shutdown_frames(self) -> bytes:
         """Frames for a car at rest: release the motor, restore the VESC's own limits."""
-        frames = encode_frame(encode_command(SetCurrent(0.0)))
+        commands: list[Command] = [SetCurrent(0.0)]
         if self._limits_before is not None and self._expected:
-            frames += encode_frame(
-                encode_command(identity.make_restored_limits(self._limits_before))
-            )
-        return frames
+            commands.append(identity.make_restored_limits(self._limits_before))
+        return b"".join(encode_frame(encode_command(command)) for command in commands)
 
     def on_poses(self, poses: list[Pose]) -> None:
         """Mocap's poses, in order of arrival; never raises."""
@@ -229,8 +218,6 @@ class Core:
     def on_proposal(self, data: bytes, t_ns: int) -> None:
         """The learner proposes a design; it is looked at after the next ticks."""
         self.designs.offer(self.loop.adapting, data, t_ns)
-
-    # --- the tick
 
     def tick(self, due_ns: int, now_ns: int, work_ns: int = 0) -> bytes:
         """Decide; return the bytes of this tick's write. `post_tick` must follow it.

@@ -43,46 +43,41 @@ class Watchdog(NamedTuple):
 
 
 _SOFT, _HARD, _ESTOP = Severity.SOFT, Severity.HARD, Severity.ESTOP
+_row = Watchdog
 WATCHDOGS = {
-    "W1": Watchdog("mocap stale", _HARD, "check that the cameras see the body and its network"),
-    "W2": Watchdog("mocap frozen", _HARD, "the body is hidden: look at markers and camera view"),
-    "W3": Watchdog("mocap invalid", _HARD, "look at the body in the mocap software"),
-    "W4": Watchdog("mocap jump", _HARD, "make the marker pattern unique; run steerd mocap check"),
-    "W5": Watchdog("innovation", _HARD, "pose and wheels disagree: check units, gear ratio, body"),
-    "W6": Watchdog("estimate diverged", _HARD, "check mocap rate and the filter's noise settings"),
-    "W7": Watchdog("telemetry stale", _HARD, "check the USB cable and the VESC's power"),
-    "W8": Watchdog("serial write", _HARD, "check the USB cable, then clear"),
-    "W9": Watchdog(
-        "starved", _HARD, "the VESC's timeout fired while driving: the link is too slow"
-    ),
-    "W10": Watchdog("kill switch", _ESTOP, "release the hardware switch, then reset"),
-    "W11": Watchdog(
-        "VESC fault", _HARD, "look the code up in VESC Tool; it ignores input for 0.5 s"
-    ),
-    "W12": Watchdog("VESC rebooted", _HARD, "brown-out: check battery, plug and cable"),
-    "W13": Watchdog("battery", _SOFT, "charge the battery"),
-    "W14": Watchdog("temperature", _SOFT, "let it cool down"),
-    "W15": Watchdog(
-        "loop late", _HARD, "run steerd rtcheck; allow SCHED_FIFO; close other programs"
-    ),
-    "W16": Watchdog("guardian", _SOFT, "restart steerd run"),
-    "W17": Watchdog("lateral error", _HARD, "slow down, or check gains and the path"),
-    "W18": Watchdog("heading error", _HARD, "check body forward axis and the path's direction"),
-    "W19": Watchdog("fence", _HARD, "move the car inside, or change the fence in the car file"),
-    "W20": Watchdog("overspeed", _HARD, "check erpm gain and speed limits"),
-    "W21": Watchdog("speed mismatch", _HARD, "wheels slip, or wrong body, or wrong gear ratio"),
-    "W22": Watchdog("blocked", _HARD, "free the wheels"),
-    "W23": Watchdog("steering saturated", _SOFT, "slow down, or check steering centre and gain"),
-    "W24": Watchdog("stop not effective", _HARD, "CUT POWER if the car does not slow down"),
-    "W25": Watchdog("lease or deadman", _SOFT, "check the operator's connection"),
-    "W26": Watchdog("recorder", _SOFT, "free disk space, then restart steerd run"),
-    "W27": Watchdog("gateway", _SOFT, "restart steerd run"),
-    "W28": Watchdog("clock", _HARD, "the machine was suspended: switch suspend off"),
-    "W29": Watchdog("exception", _HARD, "report this with the session file"),
-    "W30": Watchdog("speed not followed", _HARD, "check motor and gears; identify the car"),
-    "W31": Watchdog("steering not followed", _HARD, "check servo and linkage; identify the car"),
-    "limiter": Watchdog("order not finite", _HARD, "report this with the session file"),
-    "launch": Watchdog("launch check", _HARD, "run steerd mocap check"),
+    "W1": _row("mocap stale", _HARD, "check that the cameras see the body and its network"),
+    "W2": _row("mocap frozen", _HARD, "the body is hidden: look at markers and camera view"),
+    "W3": _row("mocap invalid", _HARD, "look at the body in the mocap software"),
+    "W4": _row("mocap jump", _HARD, "make the marker pattern unique; run steerd mocap check"),
+    "W5": _row("innovation", _HARD, "pose and wheels disagree: check units, gear ratio, body"),
+    "W6": _row("estimate diverged", _HARD, "check mocap rate and the filter's noise settings"),
+    "W7": _row("telemetry stale", _HARD, "check the USB cable and the VESC's power"),
+    "W8": _row("serial write", _HARD, "check the USB cable, then clear"),
+    "W9": _row("starved", _HARD, "the VESC's timeout fired while driving: the link is too slow"),
+    "W10": _row("kill switch", _ESTOP, "release the hardware switch, then reset"),
+    "W11": _row("VESC fault", _HARD, "look the code up in VESC Tool; it ignores input for 0.5 s"),
+    "W12": _row("VESC rebooted", _HARD, "brown-out: check battery, plug and cable"),
+    "W13": _row("battery", _SOFT, "charge the battery"),
+    "W14": _row("temperature", _SOFT, "let it cool down"),
+    "W15": _row("loop late", _HARD, "run steerd rtcheck; allow SCHED_FIFO; close other programs"),
+    "W16": _row("guardian", _SOFT, "restart steerd run"),
+    "W17": _row("lateral error", _HARD, "slow down, or check gains and the path"),
+    "W18": _row("heading error", _HARD, "check body forward axis and the path's direction"),
+    "W19": _row("fence", _HARD, "move the car inside, or change the fence in the car file"),
+    "W20": _row("overspeed", _HARD, "check erpm gain and speed limits"),
+    "W21": _row("speed mismatch", _HARD, "wheels slip, or wrong body, or wrong gear ratio"),
+    "W22": _row("blocked", _HARD, "free the wheels"),
+    "W23": _row("steering saturated", _SOFT, "slow down, or check steering centre and gain"),
+    "W24": _row("stop not effective", _HARD, "CUT POWER if the car does not slow down"),
+    "W25": _row("lease or deadman", _SOFT, "check the operator's connection"),
+    "W26": _row("recorder", _SOFT, "free disk space, then restart steerd run"),
+    "W27": _row("gateway", _SOFT, "restart steerd run"),
+    "W28": _row("clock", _HARD, "the machine was suspended: switch suspend off"),
+    "W29": _row("exception", _HARD, "report this with the session file"),
+    "W30": _row("speed not followed", _HARD, "check motor and gears; identify the car"),
+    "W31": _row("steering not followed", _HARD, "check servo and linkage; identify the car"),
+    "limiter": _row("order not finite", _HARD, "report this with the session file"),
+    "launch": _row("launch check", _HARD, "run steerd mocap check"),
 }
 
 
@@ -101,10 +96,8 @@ SIMULATED = {
 def advise_simulation(finding: Finding) -> Finding:
     """The finding with the advice for simulated hardware."""
     advice = SIMULATED.get(finding.id)
-    if advice is None:
-        return finding
     own = finding.text.endswith(f"; {WATCHDOGS[finding.id].advice}")
-    return blame(finding, advice) if own else finding
+    return blame(finding, advice) if advice and own else finding
 
 
 def blame(finding: Finding, why: str) -> Finding:
@@ -114,21 +107,13 @@ def blame(finding: Finding, why: str) -> Finding:
 
 
 def make_unknown(id: str, what: str) -> Finding:
-    """Return the finding of a watchdog whose number was never measured: no advice is known.
-
-    Raises:
-        KeyError: there is no such watchdog.
-    """
+    """Return the finding of a watchdog whose number was never measured: no advice is known."""
     watchdog = WATCHDOGS[id]
     return Finding(id, watchdog.severity, f"{id} {watchdog.name}: {what}", known=False)
 
 
 def make_finding(id: str, measured: str, severity: Severity | None = None) -> Finding:
-    """Return a finding with the watchdog's own severity, or with the given one.
-
-    Raises:
-        KeyError: there is no such watchdog.
-    """
+    """Return a finding with the watchdog's own severity, or with the given one."""
     watchdog = WATCHDOGS[id]
     level = watchdog.severity if severity is None else severity
     return Finding(id, level, f"{id} {watchdog.name}: {measured}; {watchdog.advice}")

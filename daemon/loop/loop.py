@@ -22,29 +22,15 @@ from steerd.daemon.assembly.plans import Drill
 from steerd.daemon.loop import adapting, checks, following
 from steerd.daemon.loop import findings as fs
 from steerd.daemon.loop import lease as leases
+from steerd.daemon.loop import supervisor as sv
 from steerd.daemon.loop.adapting import read_design
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.follow_model import make_follow_model
 from steerd.daemon.loop.live import judge_both_lanes, make_live, relax, step_live, take_request
 from steerd.daemon.loop.outgoing import Order, TickResult, make_order
-from steerd.daemon.loop.perception import Perception, best_speed, estimated_state
-from steerd.daemon.loop.supervisor import (
-    STILL_SPEED,
-    WAITING,
-    Conditions,
-    make_supervisor_memory,
-    stands,
-    step_supervisor,
-)
-from steerd.daemon.loop.transitions import (
-    BRAKED,
-    DRIVING,
-    PARKED,
-    Fact,
-    SupervisorState,
-    is_engaged,
-)
-from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, is_slowing, step_watchdogs
+from steerd.daemon.loop.perception import NO_STATE, Perception, best_speed
+from steerd.daemon.loop.transitions import BRAKED, DRIVING, PARKED, Fact, SupervisorState
+from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, step_watchdogs
 from steerd.daemon.settings.thresholds import LAUNCH_SPEED
 from steerd.estimator.state_filter import StateEstimate
 from steerd.steer_bus import messages as m
@@ -59,12 +45,8 @@ class Loop:
     """The control loop's state.
 
     Attributes:
-        plan: what does not change.
         perception: measurements, which are handed to it, and the state estimate.
-        supervisor: memory of the state machine.
         lease, remote: the operator and the external controller.
-        live: what may be changed while the car drives.
-        adapting: which design steers.
         vesc: what the VESC reported about itself, or None.
         fault: why a watchdog, a fault stop or an emergency stop ended the last drive, or nothing.
         ran: a drive has ended in this run.
@@ -75,7 +57,7 @@ class Loop:
         self.plan = plan
         car = believed_car(s.file.model)
         self.perception = Perception(car, s)
-        self.supervisor = make_supervisor_memory(0)
+        self.supervisor = sv.make_supervisor_memory(0)
         self.lease = leases.Lease(plan.run.boot_id)
         self.remote = leases.Remote(leases.Lease(plan.run.boot_id))
         self.live = make_live(plan.live)
@@ -99,8 +81,6 @@ class Loop:
         self._requests_pending = 0
         self._started_ns = 0
         self._ticks = 0
-
-    # --- events
 
     def on_vesc(self, vesc: m.VescIdentity | None) -> None:
         """The VESC reported about itself, or is gone (None)."""
@@ -142,8 +122,6 @@ class Loop:
             self.adapting, message.number, design, message.text, t_ns
         )
 
-    # --- the tick
-
     def tick(self, due_ns: int, now_ns: int, flags: int) -> TickResult:
         """Decide what goes on the wire now."""
         estimate = self.perception.estimate(now_ns)
@@ -160,16 +138,16 @@ class Loop:
         facts = bits | self._make_facts(now, estimate, failed, flags)
         vesc = self.vesc
         timeout_ns = 0 if vesc is None or vesc.timeout_ms < 0 else vesc.timeout_ms * 1_000_000
-        conditions = Conditions(facts, speed, timeout_ns, text)
+        conditions = sv.Conditions(facts, speed, timeout_ns, text)
         starts = self.plan.options.auto_arm and not self.ran
         requests = fs.merge_requests(self._requests_pending, flags, old, starts=starts)
-        self.supervisor, action = step_supervisor(self.supervisor, conditions, requests, now_ns)
+        self.supervisor, action = sv.step_supervisor(self.supervisor, conditions, requests, now_ns)
         self._requests_pending = 0
         self._apply_transition(old, estimate, now_ns, text)
         order = make_order(settings, self._limiter, action, wish, speed, now_ns)
         self._remember_order(order, now_ns)
         disarmed = self.supervisor.state is SupervisorState.DISARMED
-        waiting = failed if failed and disarmed else WAITING[self.supervisor.state]
+        waiting = failed if failed and disarmed else sv.WAITING[self.supervisor.state]
         return TickResult(order, old, self.supervisor, estimate, report, findings, waiting, facts)
 
     def fail(self, why: str, now_ns: int, linked: bool) -> TickResult:
@@ -178,8 +156,8 @@ class Loop:
         bits, text = fs.summarise((finding,))
         facts = bits | Fact.IDENTIFIED | Fact.SLOWING | (Fact.LINKED if linked else 0)
         settings, speed = self.plan.settings, self.perception.recent_wheel_speed(now_ns)
-        old, conditions = self.supervisor.state, Conditions(facts, speed, 0, text)
-        self.supervisor, action = step_supervisor(self.supervisor, conditions, 0, now_ns)
+        old, conditions = self.supervisor.state, sv.Conditions(facts, speed, 0, text)
+        self.supervisor, action = sv.step_supervisor(self.supervisor, conditions, 0, now_ns)
         new = self.supervisor.state
         if new is SupervisorState.FAULT_STOP:
             self.fault = self.supervisor.reason
@@ -187,7 +165,9 @@ class Loop:
         limiter = make_limiter_state(settings.limits, Command(0.0, 0.0), now_ns)
         order = make_order(settings, limiter, action, None, speed, now_ns)
         order = replace(order, drive=replace(order.drive, steer=None))
-        return TickResult(order, old, self.supervisor, None, None, (finding,), WAITING[new], facts)
+        return TickResult(
+            order, old, self.supervisor, None, None, (finding,), sv.WAITING[new], facts
+        )
 
     def _make_wish(
         self, estimate: StateEstimate | None, now_ns: int
@@ -239,7 +219,7 @@ class Loop:
         over = plan.duration_ns is not None and now.t_ns - self._started_ns >= plan.duration_ns
         shown = now.telemetry_age <= th.telemetry and now.status & 1 == 1
         return (
-            Fact.SLOWING * is_slowing(self._watchdogs)
+            Fact.SLOWING * (self._watchdogs.weak == 0)
             | Fact.LINKED * (flags & Flag.LINKED != 0)
             | Fact.IDENTIFIED * (known and seen)
             | Fact.CHECKS_PASS * (not failed)
@@ -264,11 +244,11 @@ class Loop:
             self.ran = True
             self._launch, self._launched = None, False
         reason, hard = self.supervisor.reason, new in BRAKED
-        if new is not old and (hard or (is_engaged(old) and reason == tripped)):
+        if new is not old and (hard or (old.engaged and reason == tripped)):
             self.fault = reason
         if hard:
             self.live = relax(self.live, "a fault: path and gains as designed")
-        rolling = abs(self.perception.wheel_speed) > STILL_SPEED
+        rolling = abs(self.perception.wheel_speed) > sv.STILL_SPEED
         self.perception.may_rebase = new in PARKED and not rolling
 
     def _remember_order(self, order: Order, now_ns: int) -> None:
@@ -284,8 +264,6 @@ class Loop:
         )
         self.adapting = adapting.remember_order(self.adapting, now_ns, order.command)
         self._issued = order.command
-
-    # --- what is watched
 
     def _watch(
         self,
@@ -303,7 +281,7 @@ class Loop:
         state, order = self.supervisor.state, self._limiter.order
         limits, brakes = settings.limits, settings.brakes
         lane = judge_both_lanes(report, self.live.now)
-        s, health = estimated_state(estimate), estimate.health if estimate else None
+        s, health = (estimate.state, estimate.health) if estimate else (NO_STATE, None)
         v, (e1, e2) = seen.values, (lane.e1, lane.e2) if lane else (nan, nan)
         if plan.ignores_lane:
             e1 = e2 = 0.0
@@ -366,7 +344,7 @@ class Loop:
         aim = references(FLOAT, self._car, order)  # gain and bias of the linkage
         now = checks.LaunchInput(t_ns, s.x, s.y, s.yaw, self.perception.wheel_speed, aim.steer)
         if self._launch is None:
-            self._launch = checks.make_launch_state(now)
+            self._launch = checks.LaunchState(now, now.x, now.y)
             return []
         self._launch, wrong = checks.step_launch(
             self._launch, now, self.plan.settings.limits.wheelbase
@@ -384,8 +362,6 @@ class Loop:
         )
         return following.compare(self._following, self._ranges, seen.wheel, turns)
 
-    # --- where it stands
-
     @property
     def faulted(self) -> bool:
         """Whether a safety stop ended the last drive."""
@@ -400,7 +376,7 @@ class Loop:
     def at_rest(self) -> bool:
         """Whether this process may end: parked, or stopped by an emergency stop and standing."""
         s = self.supervisor
-        return self.parked or (s.state is SupervisorState.ESTOP and stands(s, s.t_ns))
+        return self.parked or (s.state is SupervisorState.ESTOP and sv.stands(s, s.t_ns))
 
 
 REQUESTS: Mapping[type, Callable[[Loop, Any, int], None]] = {

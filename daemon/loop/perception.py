@@ -20,6 +20,7 @@ _SPEED_SPAN_S, _SPAN_OF_SD = 0.1, 20.0
 metre that a pose may be off, by which a noisy localiser's is longer, up to `LONG_TURN_S` [s/m]."""
 BLIND_S = 0.5  # age after which a measured speed counts as unknown [s]
 NO_TELEMETRY = m.VescTelemetry(m.make_header(0, m.BODY), 0, 0, -1, 0, 0, -1, -1, -1, *(nan,) * 10)
+NO_STATE = State(*(nan,) * 7)  # before the first estimate
 _SEEN = (PoseVerdict.ACCEPTED, PoseVerdict.REBASED)
 
 
@@ -148,8 +149,3 @@ def best_speed(estimate: sf.StateEstimate | None, wheel_speed: float) -> float:
     health = estimate.health
     fed = min(health.pose.age_s(estimate.t_ns), health.wheel_speed.age_s(estimate.t_ns)) <= BLIND_S
     return estimate.state.speed if fed else nan
-
-
-def estimated_state(estimate: sf.StateEstimate | None) -> State[float]:
-    """The estimated state, or NaNs."""
-    return estimate.state if estimate is not None else State(*(nan,) * 7)

@@ -11,18 +11,8 @@ no I/O, no randomness.
 
 from math import inf, isfinite
 
-from steerd.daemon.loop.transitions import (
-    ASKED,
-    BRAKED,
-    GIVEN,
-    STOP_REASON,
-    Fact,
-    MotorOutput,
-    SteeringOutput,
-    SupervisorState,
-    TransitionRow,
-    choose_row,
-)
+from steerd.daemon.loop import transitions as tr
+from steerd.daemon.loop.transitions import Fact, MotorOutput, SteeringOutput, SupervisorState
 from steerd.daemon.settings.thresholds import LAUNCH_SPEED, SOFT_DECEL
 from steerd.steer_bus.quick_values import changed, quick_value
 
@@ -102,7 +92,7 @@ def _renew_timers(s: SupervisorMemory, c: Conditions, t_ns: int) -> tuple[int, i
     """Return since when the car stands, the checks pass, the timeout is shown."""
     if not 0 <= t_ns - s.t_ns <= GAP_NS:
         return NEVER, NEVER, NEVER
-    blind = s.state in BRAKED and not isfinite(c.speed) and t_ns - s.since_ns >= BLIND_NS
+    blind = s.state in tr.BRAKED and not isfinite(c.speed) and t_ns - s.since_ns >= BLIND_NS
     still = blind or -STILL_SPEED < c.speed < STILL_SPEED
     proof = c.facts & Fact.FW_TIMEOUT and s.state == SupervisorState.SELF_TEST
     return (
@@ -126,8 +116,8 @@ def derive_facts(s: SupervisorMemory, c: Conditions, requests: int, t_ns: int) -
 
     A bit of ``requests`` that is none counts as an unknown request.
     """
-    bits = c.facts & GIVEN | requests & ASKED
-    if requests & ~ASKED:
+    bits = c.facts & tr.GIVEN | requests & tr.ASKED
+    if requests & ~tr.ASKED:
         bits |= Fact.UNKNOWN
     if _held(s.checks_ns, t_ns, CHECKS_HOLD_NS):
         bits |= Fact.CHECKS_HELD
@@ -137,11 +127,9 @@ def derive_facts(s: SupervisorMemory, c: Conditions, requests: int, t_ns: int) -
         bits |= Fact.MEASURED
     if _held(s.proof_ns, t_ns, PROOF_NS):
         bits |= Fact.PROVEN
-    allowed = (
-        c.timeout_ns + PROOF_SLACK_NS
-        if s.state == SupervisorState.SELF_TEST
-        else DURATIONS_NS.get(s.state)
-    )
+    allowed = DURATIONS_NS.get(s.state)
+    if s.state == SupervisorState.SELF_TEST:
+        allowed = c.timeout_ns + PROOF_SLACK_NS
     if allowed is not None and t_ns - s.since_ns >= allowed:
         bits |= Fact.ELAPSED
     if s.state == SupervisorState.INIT and s.frames:
@@ -151,12 +139,14 @@ def derive_facts(s: SupervisorMemory, c: Conditions, requests: int, t_ns: int) -
     return bits
 
 
-def _enter(s: SupervisorMemory, row: TransitionRow, c: Conditions, t_ns: int) -> SupervisorMemory:
+def _enter(
+    s: SupervisorMemory, row: tr.TransitionRow, c: Conditions, t_ns: int
+) -> SupervisorMemory:
     text = s.reason if row.to == SupervisorState.FAULT_LATCHED else c.text
     reason = row.reason or text or "a watchdog tripped"
     return changed(
         s, state=row.to, since_ns=t_ns, reason=reason, checks_ns=NEVER, proof_ns=NEVER,
-        rearm=row.reason == STOP_REASON, braking=False,
+        rearm=row.reason == tr.STOP_REASON, braking=False,
         frames=OPEN_FRAMES if row.to == SupervisorState.INIT else s.frames,
     )  # fmt: skip
 
@@ -187,12 +177,8 @@ def _choose_motor(s: SupervisorMemory, old: SupervisorMemory, bits: int) -> Moto
             return MotorOutput.SOFT_BRAKE if s.braking else MotorOutput.RAMP_STOP
         case SupervisorState.FAULT_STOP:
             return MotorOutput.BRAKE if bits & Fact.SLOWING else MotorOutput.DUTY_ZERO
-        case SupervisorState.FAULT_LATCHED:
-            return (
-                MotorOutput.RELEASE_ONCE
-                if old.state != SupervisorState.FAULT_LATCHED
-                else MotorOutput.SILENT
-            )
+        case SupervisorState.FAULT_LATCHED if old.state != SupervisorState.FAULT_LATCHED:
+            return MotorOutput.RELEASE_ONCE
         case SupervisorState.ESTOP if not (bits & Fact.ELAPSED and bits & Fact.STILL):
             return MotorOutput.ESTOP_BRAKE if bits & Fact.SLOWING else MotorOutput.DUTY_ZERO
         case _:
@@ -242,7 +228,7 @@ def step_supervisor(
     still, checks, proof = _renew_timers(old, conditions, t_ns)
     s = changed(old, t_ns=t_ns, still_ns=still, checks_ns=checks, proof_ns=proof)
     bits = derive_facts(s, conditions, requests, t_ns)
-    row = choose_row(s.state, bits)
+    row = tr.choose_row(s.state, bits)
     if row is not None and row.to != s.state:
         s = _enter(s, row, conditions, t_ns)
         bits = derive_facts(s, conditions, requests, t_ns)

@@ -24,6 +24,11 @@ class SupervisorState(IntEnum):
     FAULT_LATCHED = 8
     ESTOP = 9
 
+    @property
+    def engaged(self) -> bool:
+        """Whether motor bytes flow, so that the guardian must brake if the core dies."""
+        return self in HELD or self in BRAKED
+
 
 class MotorOutput(IntEnum):
     """Kind of motor bytes of a tick."""
@@ -162,11 +167,6 @@ TABLE: tuple[TransitionRow, ...] = (
          needs=Fact.RESET | Fact.STILL | Fact.ELAPSED, unless=_TRIPPED),
 )  # fmt: skip
 ROWS = tuple(tuple(row for row in TABLE if state in row.sources) for state in SupervisorState)
-
-
-def is_engaged(state: SupervisorState) -> bool:
-    """Whether motor bytes flow in this state, so that the guardian must brake if the core dies."""
-    return state in HELD or state in BRAKED
 
 
 def choose_row(state: SupervisorState, bits: int) -> TransitionRow | None:

@@ -288,12 +288,7 @@ class WatchdogState:
     stop: SupervisorState | None = None
     stop_ns: int = 0  # start of the window in which the car must slow down
     stop_speed: float = 0.0  # speed then [m/s]
-    weak: int = 0  # windows of this stop in which it did not
-
-
-def is_slowing(w: WatchdogState) -> bool:
-    """Whether the stop works as far as is known (``Fact.SLOWING``); if not, SET_DUTY 0 is next."""
-    return w.weak == 0
+    weak: int = 0  # windows of this stop in which it did not; after one, SET_DUTY 0 is next
 
 
 def _step_timed(

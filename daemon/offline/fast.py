@@ -1,7 +1,7 @@
 """`steerd run --sim --fast`: virtual time, one process, the same session file for the same seed."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 
@@ -49,13 +49,19 @@ def record_virtual(
     """
     world = world or World(make_world_config(plan))
     recording = make_recording(plan, path)
-    take = _learn_beside(plan, lambda data, t_ns: run.core.on_proposal(data, t_ns))
+    learner = None
+    if plan.options.learn:  # a drive without it loads no compiler
+        from steerd.daemon.process.learner import LearnerLoop
+
+        learner = LearnerLoop(plan, lambda data, t_ns: run.core.on_proposal(data, t_ns))
 
     def sink(records: list[PipeRecord], t_ns: int) -> None:
         try:
             for record in records:
-                for each in take(record):
-                    recording.add(each)
+                recording.add(record)
+                report = learner.take(record) if learner and is_learnt_from(record) else None
+                if report is not None:
+                    recording.add(report)
             recording.writer.tick(t_ns)
         except SessionError as error:  # not for the core: it would stop the car for a bug (W29)
             run.failed = run.failed or make_session_error(error)
@@ -70,31 +76,6 @@ def record_virtual(
         with reading(path):
             recording.writer.finish({"reason": reason, "written": str(recording.written)})
     return run
-
-
-def _learn_beside(
-    plan: RunPlan, propose: Callable[[bytes, int], None]
-) -> Callable[[PipeRecord], Iterator[PipeRecord]]:
-    """What gives each record of a drive back, with `--learn` also the report that it completes.
-
-    `propose` takes the proposals of `--adapt`, and when they were made [ns].
-
-    Raises:
-        ValueError: the car file holds what identify does not write.
-    """
-    if not plan.options.learn:  # a drive without it loads no compiler
-        return lambda record: iter((record,))
-    from steerd.daemon.process.learner import LearnerLoop
-
-    learner = LearnerLoop(plan, propose)
-
-    def take(record: PipeRecord) -> Iterator[PipeRecord]:
-        yield record
-        report = learner.take(record) if is_learnt_from(record) else None
-        if report is not None:
-            yield report
-
-    return take
 
 
 def run_fast(plan: RunPlan) -> int:

@@ -129,11 +129,7 @@ def make_virtual_run(
 
 
 def drive(run: VirtualRun, on_tick: Callable[[VirtualRun], None] | None = None) -> None:
-    """Drive until the car is parked again after its run, or latched.
-
-    Raises:
-        Exception: the run's own, once it has failed.
-    """
+    """Drive until the car is parked again after its run, or latched; what failed is raised."""
     before, loop, over = gc.get_threshold(), run.core.loop, False
     latched = (SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
     gc.set_threshold(_GC_THRESHOLD)

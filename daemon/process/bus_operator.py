@@ -133,6 +133,7 @@ class CarView:
     car: str
     clock: Clock
     values: dict[str, str] = field(default_factory=dict)  # of the supervisor's diagnostics
+    boot_id: int = 0  # of the car's run; 0 before it is known
     state: m.StateMessage | None = None  # the newest message, as the next two
     vesc: m.VescTelemetry | None = None
     parameters: m.Parameters | None = None
@@ -171,11 +172,6 @@ class CarView:
         return self
 
     @property
-    def boot_id(self) -> int:
-        """Of the car's run; 0 before it is known."""
-        return int(self.values.get("boot_id", "0") or 0)
-
-    @property
     def mode(self) -> SupervisorState | None:
         """The supervisor's state; None before it is known."""
         return None if self.state is None else SupervisorState(self.state.mode)
@@ -200,8 +196,7 @@ class CarView:
                 self.events = [*self.events, f"{name}: {text}"][-EVENTS:]
             case DiagnosticArray():
                 values = read_diagnostics(message)
-                int(values.get("boot_id", "0") or 0)
-                self.values = values
+                self.boot_id, self.values = int(values.get("boot_id", "0") or 0), values
 
 
 class BusOperator:

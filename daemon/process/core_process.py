@@ -100,11 +100,7 @@ def make_opener(url: str) -> Callable[[], Port]:
 
 
 def serve(given: Job) -> int:
-    """The process.
-
-    Raises:
-        SteerdError: the run cannot be begun.
-    """
+    """The process."""
     fds, job = given
     plan = read_job(job, design=True)
     open_again = make_opener(plan.options.port or "")

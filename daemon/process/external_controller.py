@@ -11,12 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from steerd.car_model.state import State
-from steerd.controller.lane_controller import (
-    ControllerState,
-    LaneController,
-    control,
-    start_controller,
-)
+from steerd.controller import lane_controller as lanes
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.lease import VALID_MS
 from steerd.daemon.loop.transitions import SupervisorState
@@ -104,17 +99,17 @@ def while_driving(controller: Controller) -> Controller:
     return command
 
 
-def keep_lane(controller: LaneController) -> Controller:
+def keep_lane(controller: lanes.LaneController) -> Controller:
     """The daemon's own lane keeper."""
-    kept: ControllerState | None = None
+    kept: lanes.ControllerState | None = None
     before = False
 
     def command(t: float, state: State[float], lane: Lane) -> tuple[float, float]:
         nonlocal kept, before
         t_ns = round(t * 1e9)
         if kept is None or lane.driving is not before or t_ns - kept.t_ns > _PAUSE * 1e9:
-            kept, before = start_controller(controller, state, t_ns), lane.driving
-        order, _, kept = control(controller, kept, state, t_ns, stop=not lane.driving)
+            kept, before = lanes.start_controller(controller, state, t_ns), lane.driving
+        order, _, kept = lanes.control(controller, kept, state, t_ns, stop=not lane.driving)
         return order.steer, order.speed
 
     return command

@@ -39,11 +39,6 @@ class RosBridge:
     """One node ``steerd_<car>`` with a publisher for each topic that the car sends."""
 
     def __init__(self, bus: ZenohBus, car: str, domain: int) -> None:
-        """Declare node and publishers.
-
-        Raises:
-            BusError: the bus is closed.
-        """
         self._bus = bus
         node = f"steerd_{car}"
         published = [t for t in topics.TOPICS if t.on_bus and t.direction == "out"]
@@ -204,11 +199,7 @@ def run_gateway(
 
 
 def serve(job: Job) -> int:
-    """The process; it ends with the core's pipe.
-
-    Raises:
-        SteerdError: the bus cannot be opened as asked for.
-    """
+    """The process; it ends with the core's pipe."""
     options, core = decode_options(job.about["options"]), socket.socket(fileno=job.fds["requests"])
     pose_key, (boot_id, *_) = find_pose_key(options), job.about["run"]
     core.setblocking(False)

@@ -51,9 +51,6 @@ class ProcessGuard:
         realtime: whether the core has a fixed priority; without, its heartbeat may be later.
         simulated: the hardware is simulated; a machine that stalls must not end the run.
         silent_s: largest age of the guardian's own heartbeat (W16) [s].
-
-    Attributes:
-        page: shared with the newest guardian; None before the first.
     """
 
     def __init__(
@@ -63,7 +60,7 @@ class ProcessGuard:
         self._stale_ns = heartbeat.STALE_NS if realtime else heartbeat.STALE_NS_NO_RT
         if simulated:
             self._stale_ns = STALE_NS_SIMULATED
-        self.page: heartbeat.HeartbeatPage | None = None
+        self.page: heartbeat.HeartbeatPage | None = None  # shared with the newest guardian
         self._process: subprocess.Popen[bytes] | None = None
         self._started_ns = 0
         # Kept while their guardians live: the kernel walks through them when this thread dies.

@@ -112,11 +112,7 @@ class Words(ctypes.Structure):
 
 
 class HeartbeatPage:
-    """The page of `PAGE_BYTES` as core and guardian use it; ``words`` may be read by both.
-
-    Args:
-        fd: of the page, a memfd, see `steerd.daemon.process.guard.make_page_fd`.
-    """
+    """The page of `guard.make_page_fd` as core and guardian use it; both may read ``words``."""
 
     def __init__(self, fd: int) -> None:
         page = mmap.mmap(fd, PAGE_BYTES)

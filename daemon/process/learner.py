@@ -51,11 +51,7 @@ class LearnerLoop:
 
 
 def serve(given: Job) -> int:
-    """The process; it ends with the core's pipe, and keeps what was learnt.
-
-    Raises:
-        SteerdError: it cannot learn this car.
-    """
+    """The process; it ends with the core's pipe, and keeps what was learnt."""
     given.say_ready()  # nobody waits for it
     job, fds = given.about, given.fds
     plan = read_job(job)

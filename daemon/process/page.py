@@ -71,11 +71,9 @@ def _finite(value: float) -> float | None:
 
 
 def pass_on(view: CarView, operator: BusOperator, word: str) -> bool:
-    """Send a request of a page: the name of its kind, or `set NAME VALUE`.
+    """Send a request of a page, the name of its kind or `set NAME VALUE`; whether it was sent.
 
-    Returns:
-        Whether it was sent; not for words that are no request, and only a stop before the car was
-        heard.
+    Before the car was heard, only a stop is.
     """
     wanted = parse_setting(word)
     if wanted is not None:
@@ -141,11 +139,7 @@ async def _serve(given: Job, plan: RunPlan) -> None:
 
 
 def serve(given: Job) -> int:
-    """The process; it ends when its lifeline closes.
-
-    Raises:
-        SteerdError: its port is taken, or it cannot reach the car.
-    """
+    """The process; it ends when its lifeline closes."""
     plan = read_job(given.about)
     try:
         asyncio.run(_serve(given, plan))

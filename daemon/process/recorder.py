@@ -143,11 +143,7 @@ def _sync(writer: SessionWriter) -> None:
 
 
 def serve(job: Job) -> int:
-    """The process; it ends with the core's pipe.
-
-    Raises:
-        SteerdError: the session cannot be begun, or not be ended.
-    """
+    """The process; it ends with the core's pipe."""
     meta, disk_free_min = job.about, int(job.about["disk_free_min"])
     try:
         check_space(Path(meta["path"]), disk_free_min)

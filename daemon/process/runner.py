@@ -14,20 +14,12 @@ from dataclasses import dataclass
 
 from steerd.daemon.ipc.pipe_records import PipeWriter
 from steerd.daemon.ipc.requests import REQUEST_MAX, unpack_request
-from steerd.daemon.ipc.signals import ALIVE, READY, STOPPING, Notify, notify_nobody
+from steerd.daemon.ipc.signals import ALIVE, READY, STOPPING, Notify
 from steerd.daemon.loop.adapting import DESIGN_BYTES
 from steerd.daemon.loop.core import Core
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.lease import lease_age
-from steerd.daemon.loop.transitions import is_engaged
-from steerd.daemon.process.guard import (
-    ProcessGuard,
-    RemotePath,
-    find_cause,
-    find_pause,
-    read_steal_ns,
-    sleep_lag_ns,
-)
+from steerd.daemon.process import guard as guards
 from steerd.daemon.process.pacing import Pace, early_window_ns, step_pace
 from steerd.mocap_link.sockets import MocapReceiver
 from steerd.mocap_link.source import Pose
@@ -65,7 +57,7 @@ class CoreLinks:
 class Runner:
     """The control core in real time.
 
-    `open_port` opens the serial port or raises PortError, which is then kept as `error`.
+    `open_port` opens the serial port or raises PortError: it is called again later.
     """
 
     def __init__(
@@ -75,8 +67,8 @@ class Runner:
         open_port: Callable[[], Port],
         mocap: MocapReceiver | BusPoseSource,
         links: CoreLinks,
-        guard: ProcessGuard,
-        notify: Notify = notify_nobody,
+        guard: guards.ProcessGuard,
+        notify: Notify = lambda _text: None,
     ) -> None:
         self._core = core
         self._notify = notify
@@ -93,13 +85,10 @@ class Runner:
         self._reopen_ns = self._mocap_ns = self._clock_ns = 0
         self._clogged = 0
         self._pose_ns = -1
-        self._slept_ns, self._stolen_ns = sleep_lag_ns(), read_steal_ns()
-        self._path = RemotePath(core.loop.plan.run.boot_id)
+        self._slept_ns, self._stolen_ns = guards.sleep_lag_ns(), guards.read_steal_ns()
+        self._path = guards.RemotePath(core.loop.plan.run.boot_id)
         self._leave_ns: int | None = None
         self.signals = 0
-        self.error: PortError | None = None
-
-    # --- the loop
 
     def run(self) -> None:
         """Run until a stop signal or the end of the planned drive, and the car is at rest."""
@@ -124,8 +113,6 @@ class Runner:
 
     def _is_done(self) -> bool:
         """Whether the run is over: drive ended or stop signal received, and the car at rest.
-
-        So is a drive without an operator whose recorder or gateway is gone.
 
         The third signal ends it at once, the second and the parent's end within a bound; the
         guardian then brakes a car that moves.
@@ -236,16 +223,14 @@ class Runner:
         if newest:
             self._core.on_proposal(newest, now_ns)
 
-    # --- what is not an arrival
-
     def _set_flags(self, late_ns: int = 0) -> None:
         """Set the flags that the next tick needs, which is late by so much."""
         if late_ns > self._period_ns:
             now = self._clock.now_ns()
-            stolen_ns = read_steal_ns() - self._stolen_ns
-            pause = find_pause(self._guard.page, now)
-            self._core.flags |= find_cause((now - late_ns, now), stolen_ns, pause)
-        lag = sleep_lag_ns()
+            stolen_ns = guards.read_steal_ns() - self._stolen_ns
+            pause = guards.find_pause(self._guard.page, now)
+            self._core.flags |= guards.find_cause((now - late_ns, now), stolen_ns, pause)
+        lag = guards.sleep_lag_ns()
         if lag - self._slept_ns > self._core.loop.plan.settings.thresholds.suspend_step * 1e9:
             self._core.flags |= Flag.SUSPENDED
         self._slept_ns = lag
@@ -264,7 +249,7 @@ class Runner:
         if now_ns >= self._clock_ns:
             self._clock_ns = now_ns + CLOCK_NS
             self._post_clock(now_ns)
-            self._stolen_ns = read_steal_ns()
+            self._stolen_ns = guards.read_steal_ns()
         beat = self._path.make_beat(now_ns, self._core.outbox.epoch_ns)
         if beat is not None:
             self._core.outbox.post(topics.HEARTBEAT, beat, now_ns)
@@ -305,10 +290,8 @@ class Runner:
         """Raise a flag; it goes only when nothing is lost and no motor bytes may flow."""
         if lost:
             self._core.flags |= flag
-        elif not is_engaged(self._core.loop.supervisor.state):
+        elif not self._core.loop.supervisor.state.engaged:
             self._core.flags &= ~flag
-
-    # --- the serial port
 
     def _try_open(self, now_ns: int) -> None:
         self._reopen_ns = now_ns + REOPEN_NS
@@ -316,10 +299,8 @@ class Runner:
             return
         try:
             self._port = self._open_port()
-        except PortError as error:
-            self.error = error
+        except PortError:
             return
-        self.error = None
         self._guard.watch(self._port.fd, self._core.brake_frame(), now_ns)
         self._core.open_link()
 
@@ -339,7 +320,7 @@ class Runner:
         if self._port is None or page is None:
             return b""
         last = self._core.last
-        engaged = last is not None and is_engaged(last.supervisor.state)
+        engaged = last is not None and last.supervisor.state.engaged
         page.write_heartbeat(tick_ns, engaged)
         staged: bytes | memoryview = wire
         if last is not None and last.order.command is not None:
@@ -372,14 +353,12 @@ class Runner:
     def _lose_port(self) -> None:
         port, self._port = self._port, None
         self._clogged = 0
-        if not is_engaged(self._core.loop.supervisor.state):
+        if not self._core.loop.supervisor.state.engaged:
             self._guard.mark_clean()  # it holds the port too, which must come free to be reopened
         if port is not None:
             with contextlib.suppress(OSError):
                 port.close()
         self._core.lose_link()
-
-    # --- the end
 
     def _leave(self) -> None:
         """Close everything; at rest, the VESC gets its own limits back.

@@ -220,11 +220,7 @@ def list_values(plan: RunPlan) -> dict[str, float | str]:
 
 
 async def run_viewer(given: Job, plan: RunPlan) -> int:
-    """Show what comes until the pipe closes; how many messages it had no room for.
-
-    Raises:
-        OSError: the address is taken or no address of this machine.
-    """
+    """Show what comes until the pipe closes; how many messages it had no room for."""
     records, reports = PipeReader(given.fds["pipe"]), PipeReader(given.fds.get("reports"))
     car, drawn = plan.options.car, draw_plan(plan)
     lane = make_lane_scene(drawn["lane"], drawn["half_width"], closed=drawn["closed"])
@@ -252,11 +248,7 @@ async def run_viewer(given: Job, plan: RunPlan) -> int:
 
 
 def serve(given: Job) -> int:
-    """The process; it ends with the core's pipe.
-
-    Raises:
-        SteerdError: its address cannot be used.
-    """
+    """The process; it ends with the core's pipe."""
     plan = read_job(given.about)
     try:
         missed = asyncio.run(run_viewer(given, plan))

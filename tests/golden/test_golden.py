@@ -148,14 +148,14 @@ def test_it_holds_the_scene_that_its_name_promises(name):
 
 def test_a_loop_that_steers_otherwise_is_noticed(monkeypatch):
     """The golden comparison itself: 1e-4 rad must not pass."""
-    import steerd.daemon.loop.adapting as loop
+    import steerd.controller.lane_controller as lanes
 
-    sound = loop.control
+    sound = lanes.control
 
     def biased(*args: object, **more: object) -> object:
         command, report, state = sound(*args, **more)
         return command._replace(steer=command.steer + 1e-4), report, state
 
-    monkeypatch.setattr(loop, "control", biased)
+    monkeypatch.setattr(lanes, "control", biased)
     _, differences = replayed(FOLDER / "circle.mcap")
     assert len(differences) > 50

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from math import hypot, inf
 
 from steerd.daemon.assembly.build import NS
-from steerd.daemon.loop.transitions import SupervisorState, is_engaged
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus.messages import RequestKind
 from tests.safety.catalogue import FAULT_CASES, FaultCase, Must
 from tests.safety.judge import (
@@ -109,7 +109,7 @@ def drive_on(rig: Rig, fault_case: FaultCase, phase: str, t_fault: int) -> None:
 
 def settled(rig: Rig) -> bool:
     """Whether nothing is left to happen: half a second after motor bytes ended."""
-    quiet = not is_engaged(rig.state) or rig.state is SupervisorState.ARMED
+    quiet = not rig.state.engaged or rig.state is SupervisorState.ARMED
     since_ns = rig.run.core.loop.supervisor.since_ns
     return quiet and rig.t_ns - since_ns > 500 * MS
 

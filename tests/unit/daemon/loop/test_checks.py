@@ -94,7 +94,7 @@ def launch(steer=0.0, scale=1.0, flip=0.0, turn=1.0, erpm=1.0, speed=0.5, yaw0=0
     x = y = travelled = 0.0
     yaw, dt = yaw0, 0.01
     start = LaunchInput(0, x * scale, y * scale, yaw + flip, 0.0, steer)
-    state, wrong = checks.make_launch_state(start), ""
+    state, wrong = checks.LaunchState(start, start.x, start.y), ""
     for k in range(1, 400):
         x, y = x + speed * dt * cos(yaw), y + speed * dt * sin(yaw)
         yaw += turn * speed * dt * tan(steer) / WHEELBASE
@@ -134,7 +134,7 @@ def test_a_launch_finds_what_is_wrong_and_is_done_otherwise(given, said):
 def test_time_does_not_run_backwards():
     start = LaunchInput(0, 0.0, 0.0, 0.0, 0.5, 0.0)
     back, wrong = checks.step_launch(
-        checks.make_launch_state(start), start._replace(t_ns=-(10**9)), WHEELBASE
+        checks.LaunchState(start, start.x, start.y), start._replace(t_ns=-(10**9)), WHEELBASE
     )
     assert (back.travelled, wrong) == (0.0, "")
 
@@ -142,7 +142,7 @@ def test_time_does_not_run_backwards():
 def shown(mocap, wheels, turned=0.0, expected=0.0):
     """What one more, motionless tick says to a launch that has shown this, far from the origin."""
     here = LaunchInput(0, 5.0 + mocap, -3.0, 0.0, 0.0, 0.0)
-    state = checks.make_launch_state(here)._replace(
+    state = checks.LaunchState(here, here.x, here.y)._replace(
         x0=5.0, travelled=wheels, turned=turned, expected_turn=expected, forward=mocap
     )
     return checks.step_launch(state, here, WHEELBASE)
@@ -163,7 +163,7 @@ def end_of(x=0.25, y=0.0, wheels=0.25, yaw=0.0, steer=0.0, wheelbase=1.0):
     """One long step from the origin, heading along x: the state after it, and what was wrong."""
     start = LaunchInput(0, *(0.0,) * 5)
     step = LaunchInput(1_000_000_000, x, y, yaw, wheels, steer)
-    return checks.step_launch(checks.make_launch_state(start), step, wheelbase)
+    return checks.step_launch(checks.LaunchState(start, start.x, start.y), step, wheelbase)
 
 
 def test_the_ratio_of_distances_to_its_last_digit():

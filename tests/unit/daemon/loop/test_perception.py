@@ -45,7 +45,7 @@ def test_nothing_is_known_before_the_first_measurement():
     seen = make_perception()
     assert seen.estimate(NS) is None
     assert (seen.mocap_age(NS), seen.telemetry_age(NS)) == (inf, inf)
-    unknown = (seen.wheel_speed, seen.mocap_speed, *ps.estimated_state(None))
+    unknown = (seen.wheel_speed, seen.mocap_speed, *ps.NO_STATE)
     assert all(isnan(value) for value in unknown)
 
 

@@ -168,7 +168,7 @@ def test_every_fact_is_one_bit_and_the_last_nine_are_requests():
 
 def test_guardian_is_engaged_exactly_where_motor_bytes_flow():
     engaged = (S.ARMED, S.RUNNING, S.STOPPING, S.FAULT_STOP, S.ESTOP)
-    assert tuple(state for state in S if tr.is_engaged(state)) == engaged
+    assert tuple(state for state in S if state.engaged) == engaged
 
 
 def test_derived_facts_cannot_be_given_and_every_unknown_bit_is_unknown():

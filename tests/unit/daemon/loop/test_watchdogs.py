@@ -264,7 +264,7 @@ def stop(kind, speeds, dt=S // 16, wheels=0.0, telemetry_age=0.0):
         tick = {"t_ns": S + k * dt, "speed": speed, "telemetry_age": telemetry_age}
         state, found = step(state, **given, **tick)
         words = [f.text for f in found if f.id == "W24"]
-        out.append((words, wd.is_slowing(state)))
+        out.append((words, state.weak == 0))
     return out
 
 
@@ -313,13 +313,13 @@ def test_each_kind_of_stop_is_judged_anew():
     memory = wd.WatchdogState()
     for k in range(7):
         memory, _ = step(memory, t_ns=S + k * S // 16, state=SupervisorState.STOPPING)
-    assert not wd.is_slowing(memory)
+    assert memory.weak
     memory, found = step(memory, t_ns=2 * S, state=SupervisorState.FAULT_STOP)
-    assert (wd.is_slowing(memory), found) == (True, ())
+    assert (memory.weak, found) == (0, ())
     assert step(memory, t_ns=2 * S, state=SupervisorState.DISARMED)[0].stop is None
-    assert wd.is_slowing(wd.WatchdogState()), "before a stop"
+    assert wd.WatchdogState().weak == 0, "before a stop"
     weak = wd.WatchdogState(stop=SupervisorState.STOPPING, weak=3)
-    assert wd.is_slowing(step(weak)[0]), "after it"
+    assert step(weak)[0].weak == 0, "after it"
 
 
 # What the VESC says of itself: status bits, fault codes, its tachometer (W9 to W12).

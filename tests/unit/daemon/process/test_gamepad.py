@@ -158,9 +158,9 @@ class Desk:
         self.teleop = Teleop(self.view, PadMap(**pads), gamepad.XBOX_AXES)
         self.show(SupervisorState.READY)
 
-    def show(self, state, boot_id="5"):
+    def show(self, state, boot_id=5):
         self.view.state = SimpleNamespace(mode=int(state))
-        self.view.values = {"boot_id": boot_id}
+        self.view.boot_id = boot_id
 
     def press(self, code, value=1):
         self.teleop.take([PadEvent(KEY, code, value)])
@@ -269,7 +269,7 @@ def test_a_release_is_a_stop_and_then_silence(desk, let_go):
 
 
 def test_an_emergency_stop_needs_no_deadman_and_no_status(desk):
-    desk.show(SupervisorState.READY, boot_id="")
+    desk.show(SupervisorState.READY, boot_id=0)
     desk.press(ESTOP)
     assert desk.stops() == [RequestKind.ESTOP]
 
@@ -277,7 +277,7 @@ def test_an_emergency_stop_needs_no_deadman_and_no_status(desk):
 def test_another_run_of_the_car_gets_a_lease_of_its_own(held):
     held.wait(0.1)
     held.driven()
-    for boot_id, seen in (("6", {6}), ("", set())):
+    for boot_id, seen in ((6, {6}), (0, set())):
         held.show(SupervisorState.READY, boot_id=boot_id)
         held.wait(0.1)
         assert {c.boot_id for c in held.driven()} == seen

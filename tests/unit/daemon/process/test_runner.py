@@ -485,12 +485,12 @@ def test_a_drive_by_itself_does_not_wait_for_a_process_that_is_gone(plan, flag):
 def test_a_late_tick_says_whether_host_or_guardian_stood_still_too(
     plan, monkeypatch, stood, stolen_ms, flag, said
 ):
-    monkeypatch.setattr(runner_module, "read_steal_ns", lambda: 5 * SECOND)
+    monkeypatch.setattr(guard_module, "read_steal_ns", lambda: 5 * SECOND)
     r = make_runner(plan)
-    monkeypatch.setattr(runner_module, "read_steal_ns", lambda: 5 * SECOND + stolen_ms * MS)
+    monkeypatch.setattr(guard_module, "read_steal_ns", lambda: 5 * SECOND + stolen_ms * MS)
     start = r.it._clock.now_ns() - 41 * MS
     pause = stood and (start + stood[0] * MS, start + stood[1] * MS)
-    monkeypatch.setattr(runner_module, "find_pause", lambda *_: pause)
+    monkeypatch.setattr(guard_module, "find_pause", lambda *_: pause)
     r.it._set_flags(9 * MS)
     assert not r.core.flags & CAUSES, "a tick in time blames nobody"
     r.it._set_flags(41 * MS)
