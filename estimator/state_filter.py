@@ -110,19 +110,9 @@ class StateFilter:
     kernel: "Kernel | Reference"  # what computes
 
     @cached_property
-    def soonest_ns(self) -> int:
-        """The shorter of the car's two dead times [ns]."""
-        return min(dead_times(self.car))
-
-    @cached_property
-    def latest_ns(self) -> int:
-        """The longer of the car's two dead times [ns]."""
-        return max(dead_times(self.car))
-
-    @cached_property
-    def history_ns(self) -> int:
-        """How long measurements are kept [ns]."""
-        return round(self.config.history_s * NS)
+    def dead_times_ns(self) -> list[int]:
+        """The car's two dead times [ns], the shorter first."""
+        return sorted(dead_times(self.car))
 
 
 @quick_value
@@ -192,12 +182,12 @@ def step(
         ValueError: if a command is not finite.
     """
     history = state.history
+    shortest_ns, dead_time_ns = flt.dead_times_ns
     redo_ns = now_ns + FUTURE_NS
     for sent_ns, command in commands:
         history = add_command(history, sent_ns, command)
-        redo_ns = min(redo_ns, sent_ns + flt.soonest_ns)
-    oldest_ns = now_ns - flt.history_ns
-    dead_time_ns = flt.latest_ns
+        redo_ns = min(redo_ns, sent_ns + shortest_ns)
+    oldest_ns = now_ns - round(flt.config.history_s * NS)
     if flt.car.pose_delay:
         measurements = [_correct_latency(flt.car, m) for m in measurements]
     latest_ns = now_ns + FUTURE_NS

@@ -114,10 +114,7 @@ def step_gates(
         return state, order
     key = (*pose.position, *pose.quaternion)
     repeats = state.repeats + 1 if key == state.pose else 1
-    state = GateState(
-        pose.frame, state.last, state.before, state.height, key, repeats,
-        state.candidate, state.candidate_run,
-    )  # fmt: skip
+    state = changed(state, frame=pose.frame, pose=key, repeats=repeats)
     reason = check_raw(config, pose, metres_per_unit)
     if reason is None and isnan(pose.x):
         reason = "not_finite"
@@ -143,8 +140,8 @@ def _check_place(
     reason = _compare(config, state, pose)
     if reason is None:
         height = pose.height if state.height is None else state.height
-        last = state.last
-        return GateState(state.frame, pose, last, height, state.pose, state.repeats, None, 0), None
+        placed = changed(state, last=pose, before=state.last, height=height)
+        return changed(placed, candidate=None, candidate_run=0), None
     run = state.candidate_run + 1 if _is_steady(config, state.candidate, pose) else 1
     if run >= config.reacquire_count:
         if stationary:

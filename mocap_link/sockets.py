@@ -6,6 +6,7 @@ blocks afterwards.
 """
 
 import contextlib
+import errno
 import os
 import socket
 import struct
@@ -284,14 +285,9 @@ class VrpnReceiver:
         self._retry_ns = min(2 * self._retry_ns, self.retry_last_ns)
         self._sock = _make_socket(socket.SOCK_STREAM)
         self._sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        try:
-            self._sock.connect(self._server)
-        except BlockingIOError:
-            return
-        except OSError as error:
-            self._close(f"no connection to {self._server[0]}: {error.strerror}")
-            return
-        self._out[:] = self.source.on_connect()
+        code = self._sock.connect_ex(self._server)
+        if code not in (0, errno.EINPROGRESS):
+            self._close(f"no connection to {self._server[0]}: {os.strerror(code)}")
 
     def _finish_connect(self, sock: socket.socket, t_ns: int) -> None:
         code = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)

@@ -13,8 +13,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, BinaryIO
 
-from mcap.records import Attachment  # noqa: TID251
-
 from steerd.steer_bus.atomic_file import is_full
 from steerd.steer_bus.container_write import ContainerWriter
 from steerd.steer_bus.fields import schema_text, type_name
@@ -77,7 +75,7 @@ class SessionWriter:
                     self._writer.add_metadata(name, {**version, **values})
                 for name, data in attachments.items():
                     kind = guess_type(name)[0] or "application/toml"
-                    self._writer.add_attachment(Attachment(start_ns, start_ns, name, kind, data))
+                    self._writer.add_attachment(start_ns, start_ns, name, kind, data)
                 self._channels = {topic: self._add_topic(topic, of) for topic, of in topics.items()}
                 self._file.flush()
                 _sync_folder(path)
@@ -176,8 +174,9 @@ class SessionWriter:
         return _disk_error(self.partial, error, f"free some space{saved}")
 
     def _add_topic(self, topic: str, cls: type[Any]) -> int:
-        schema = self._writer.add_schema(type_name(cls), "ros2msg", schema_text(cls).encode())
-        return self._writer.add_channel(topic, "cdr", schema, {})
+        text = schema_text(cls).encode()
+        schema = self._writer.register_schema(type_name(cls), "ros2msg", text)
+        return self._writer.register_channel(topic, "cdr", schema)
 
 
 def recover(session: Session, path: Path) -> float:
@@ -215,15 +214,15 @@ def _copy(session: Session, writer: ContainerWriter) -> int:
     for name, values in contents.metadata.items():
         writer.add_metadata(name, values)
     for a in session.attachments():
-        writer.add_attachment(a)
+        writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
     schemas = {
-        key: writer.add_schema(schema.name, schema.encoding, schema.data)
+        key: writer.register_schema(schema.name, schema.encoding, schema.data)
         for key, schema in contents.schemas.items()
     }
     channels = {}
     for key, c in contents.channels.items():
         schema = schemas.get(c.schema_id, 0)
-        channels[key] = writer.add_channel(c.topic, c.message_encoding, schema, c.metadata)
+        channels[key] = writer.register_channel(c.topic, c.message_encoding, schema, c.metadata)
     gap_ns, last_ns = 0, None
     for r in session.messages():
         writer.add_message(channels[r.channel], r.log_ns, r.data, r.publish_ns, r.sequence)

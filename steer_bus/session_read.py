@@ -13,7 +13,6 @@ import os
 import stat
 import weakref
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
@@ -73,9 +72,11 @@ class Record:
 class Session:
     """A recorded drive. Made by :func:`open_session`; its file stays open as long as it is used."""
 
-    def __init__(self, file: FileIO, info: SessionInfo) -> None:
-        self._path, self._file, self._info = info.path, file.fileno(), info
+    def __init__(self, path: Path, file: FileIO) -> None:
         weakref.finalize(self, file.close)
+        self._path, self._file = path, file.fileno()
+        _check_magic(path, os.pread(self._file, len(container.MAGIC), 0))
+        self._info = container.read_contents(path, self._file, file.seek(0, os.SEEK_END))
 
     def info(self) -> SessionInfo:
         """Give topics, counts, times, metadata and warnings."""
@@ -225,13 +226,7 @@ def open_session(path: Path | str) -> Session:
         if not stat.S_ISREG(mode):
             kind = "a directory" if stat.S_ISDIR(mode) else "not a regular file"
             raise SessionError("not_a_file", f"{path} is {kind}", "name a session .mcap file")
-        with ExitStack() as stack:
-            file = stack.enter_context(path.open("rb", buffering=0))
-            size = file.seek(0, 2)
-            _check_magic(path, os.pread(file.fileno(), len(container.MAGIC), 0))
-            session = Session(file, container.read_contents(path, file.fileno(), size))
-            stack.pop_all()  # it is now closed with the session
-            return session
+        return Session(path, path.open("rb", buffering=0))
     except FileNotFoundError as error:
         partial = path.with_name(path.name + ".partial")
         hint = f"{partial.name} does: steerd recover {path}" if partial.exists() else ""

@@ -104,7 +104,7 @@ class ZenohBus:
         """
         self.who = profile.who
         self._session = _open(profile)
-        self._zid = str(self._session.info.zid()).encode()
+        self.zid = str(self._session.info.zid())  # the session's id in hexadecimal digits
         self._publishers: dict[str, _Publisher] = {}
         self._held: list[Any] = []  # zenoh withdraws what nobody refers to
         self._closed = False
@@ -114,11 +114,6 @@ class ZenohBus:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
-
-    @property
-    def zid(self) -> str:
-        """The session's id in hexadecimal digits."""
-        return self._zid.decode()
 
     def name_publisher(self, key: str, gid: bytes) -> None:
         """Publish a key under this id from now on: rmw_zenoh derives it from a token's text."""
@@ -216,7 +211,7 @@ class ZenohBus:
         handle = self._ask(lambda: self._session.declare_publisher(
             key, encoding=encoding, priority=priority, congestion_control=drop
         ))  # fmt: skip
-        gid = blake2b(self._zid + key.encode(), digest_size=_GID_SIZE).digest()
+        gid = blake2b((self.zid + key).encode(), digest_size=_GID_SIZE).digest()
         return _Publisher(handle, gid)
 
     def _ask(self, call: Callable[[], Any]) -> Any:

@@ -7,11 +7,12 @@ A session's limits live in the VESC's RAM, whatever the host does: SET_MCCONF_TE
 """
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from typing import Annotated
 
-from steerd.vesc_link.commands import Limits, SetMcConfTemp
+from steerd.vesc_link.commands import Limits, SetMcConfTemp, Single
 from steerd.vesc_link.ids import CommandId, Firmware
-from steerd.vesc_link.wire import Field, all_finite, pack_device, reader, unpack_fields
+from steerd.vesc_link.wire import all_finite, pack_device, reader, unpack_fields, wire_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,19 +73,14 @@ class AppConf:
     what it applies afterwards, 0 being coasting.
     """
 
-    signature: int
-    controller_id: int
-    timeout_ms: int
-    timeout_brake_current: float
+    signature: Annotated[int, "I"]
+    controller_id: Annotated[int, "B"]
+    timeout_ms: Annotated[int, "I"]
+    timeout_brake_current: Single
     tail: bytes = b""
 
 
-_APPCONF_FIELDS = (
-    Field("signature", "I"),
-    Field("controller_id", "B"),
-    Field("timeout_ms", "I"),
-    Field("timeout_brake_current", "f"),
-)
+_APPCONF_FIELDS = wire_fields(AppConf)
 _APPCONF_HEAD = 1 + sum(field.size for field in _APPCONF_FIELDS)
 
 
@@ -108,9 +104,9 @@ def encode_appconf(reply: AppConf) -> bytes:
 class McConfTemp(Limits):
     """GET_MCCONF_TEMP reply: limits in force and the drive train."""
 
-    motor_poles: int
-    gear_ratio: float
-    wheel_diameter: float
+    motor_poles: Annotated[int, "B"]
+    gear_ratio: Single
+    wheel_diameter: Single
 
     @property
     def erpm_gain(self) -> float:
@@ -118,9 +114,7 @@ class McConfTemp(Limits):
         return 30 * self.motor_poles * self.gear_ratio / (math.pi * self.wheel_diameter)
 
 
-LIMIT_FIELDS = tuple(Field(limit.name, "f") for limit in fields(Limits))
-_DRIVE_TRAIN = (Field("motor_poles", "B"), Field("gear_ratio", "f"), Field("wheel_diameter", "f"))
-_MCCONF_FIELDS = (*LIMIT_FIELDS, *_DRIVE_TRAIN)
+LIMIT_FIELDS, _MCCONF_FIELDS = wire_fields(Limits), wire_fields(McConfTemp)
 
 
 def decode_mcconf_temp(payload: bytes) -> McConfTemp | None:

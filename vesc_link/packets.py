@@ -16,30 +16,30 @@ from steerd.vesc_link import identity as i
 from steerd.vesc_link import telemetry as t
 from steerd.vesc_link.commands import Command
 from steerd.vesc_link.ids import FW_7_01, CommandId, Firmware, command_id, knows, wire_id
-from steerd.vesc_link.wire import Field, all_finite, pack_host, unpack_fields
+from steerd.vesc_link.wire import all_finite, pack_host, unpack_fields, wire_fields
 
 Reply = t.Values | t.Uptime | t.Imu | i.FwVersion | i.AppConf | i.McConfTemp | i.Ack
 
-_FLAGS = tuple(
-    Field(name, "?") for name in ("store", "forward_can", "ack", "divide_by_controllers")
-)
-_LAYOUTS: dict[type[Command], tuple[CommandId, tuple[Field, ...]]] = {
-    c.GetFwVersion: (CommandId.FW_VERSION, ()),
-    c.GetValues: (CommandId.GET_VALUES, ()),
-    c.SetDuty: (CommandId.SET_DUTY, (Field("duty", "i", 1e5),)),
-    c.SetCurrent: (CommandId.SET_CURRENT, (Field("current", "i", 1e3),)),
-    c.SetCurrentBrake: (CommandId.SET_CURRENT_BRAKE, (Field("current", "i", 1e3),)),
-    c.SetErpm: (CommandId.SET_RPM, (Field("erpm", "i", 1e0),)),
-    c.SetServoPos: (CommandId.SET_SERVO_POS, (Field("servo_pos", "h", 1e3),)),
-    c.GetAppConf: (CommandId.GET_APPCONF, ()),
-    c.Reboot: (CommandId.REBOOT, ()),
-    c.Alive: (CommandId.ALIVE, ()),
-    c.SetMcConfTemp: (CommandId.SET_MCCONF_TEMP, (*_FLAGS, *i.LIMIT_FIELDS)),
-    c.GetValuesSelective: (CommandId.GET_VALUES_SELECTIVE, (Field("mask", "I"),)),
-    c.GetValuesSetupSelective: (CommandId.GET_VALUES_SETUP_SELECTIVE, (Field("mask", "I"),)),
-    c.GetImuData: (CommandId.GET_IMU_DATA, (Field("mask", "H"),)),
-    c.GetMcConfTemp: (CommandId.GET_MCCONF_TEMP, ()),
+_NUMBERS: dict[type[Command], CommandId] = {
+    c.GetFwVersion: CommandId.FW_VERSION,
+    c.GetValues: CommandId.GET_VALUES,
+    c.SetDuty: CommandId.SET_DUTY,
+    c.SetCurrent: CommandId.SET_CURRENT,
+    c.SetCurrentBrake: CommandId.SET_CURRENT_BRAKE,
+    c.SetErpm: CommandId.SET_RPM,
+    c.SetServoPos: CommandId.SET_SERVO_POS,
+    c.GetAppConf: CommandId.GET_APPCONF,
+    c.Reboot: CommandId.REBOOT,
+    c.Alive: CommandId.ALIVE,
+    c.SetMcConfTemp: CommandId.SET_MCCONF_TEMP,
+    c.GetValuesSelective: CommandId.GET_VALUES_SELECTIVE,
+    c.GetValuesSetupSelective: CommandId.GET_VALUES_SETUP_SELECTIVE,
+    c.GetImuData: CommandId.GET_IMU_DATA,
+    c.GetMcConfTemp: CommandId.GET_MCCONF_TEMP,
 }
+_LAYOUTS = {kind: (number, wire_fields(kind)) for kind, number in _NUMBERS.items()}
+_FLAGS = wire_fields(c.SetMcConfTemp)[len(i.LIMIT_FIELDS) :]
+_LAYOUTS[c.SetMcConfTemp] = CommandId.SET_MCCONF_TEMP, (*_FLAGS, *i.LIMIT_FIELDS)
 _BY_ID = {number: (kind, fields) for kind, (number, fields) in _LAYOUTS.items()}
 
 FEEDS_TIMEOUT: tuple[type[Command], ...] = (
@@ -51,7 +51,7 @@ _UNANSWERED = frozenset((*FEEDS_TIMEOUT, c.SetServoPos, c.Reboot))
 
 def command_number(command: Command) -> CommandId:
     """Id of a command, which is also the id of its reply."""
-    return _LAYOUTS[type(command)][0]
+    return _NUMBERS[type(command)]
 
 
 def expects_reply(command: Command) -> bool:

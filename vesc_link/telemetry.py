@@ -6,13 +6,14 @@ firmware does not know. Source: `docs/reference/vesc-serial.md#v2.1`, `#v2.2`, `
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 from operator import truediv
+from typing import Annotated
 
 from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link.ids import FW_3_00, FW_5_03, FW_6_05, CommandId, Firmware
-from steerd.vesc_link.wire import Field, pack_device, reader, unpack_fields
+from steerd.vesc_link.wire import Field, pack_device, reader, unpack_fields, wire_fields
 
 STANDARD_GRAVITY = 9.80665
 """[m/s^2], the firmware's g."""
@@ -28,69 +29,48 @@ class Values:
     """GET_VALUES or GET_VALUES_SELECTIVE reply [A, V, °C, Ah, Wh].
 
     Currents and ``v_d``, ``v_q`` are means since the last read by anyone. The tachometer counts six
-    steps per electrical revolution. ``mask`` is the echoed mask, None for a full reply.
+    steps per electrical revolution. ``mask`` is the echoed mask, None for a full reply. Behind the
+    types: `wire.Field`.
     """
 
-    temp_fet_c: float | None = None
-    temp_motor_c: float | None = None
-    motor_current: float | None = None
-    input_current: float | None = None
-    d_current: float | None = None
-    q_current: float | None = None
-    duty: float | None = None
-    erpm: float | None = None
-    input_voltage: float | None = None
-    ah: float | None = None
-    ah_charged: float | None = None
-    wh: float | None = None
-    wh_charged: float | None = None
-    tachometer: int | None = None
-    tachometer_abs: int | None = None
-    fault: int | None = None
-    pid_pos_deg: float | None = None
-    controller_id: int | None = None
-    temp_mos1_c: float | None = None
-    temp_mos2_c: float | None = None
-    temp_mos3_c: float | None = None
-    v_d: float | None = None
-    v_q: float | None = None
-    status: int | None = None
-    temp_mos4_c: float | None = None
-    temp_mos5_c: float | None = None
-    temp_mos6_c: float | None = None
-    temp_pcb_c: float | None = None
+    temp_fet_c: Annotated[float | None, "h", 1e1] = None
+    temp_motor_c: Annotated[float | None, "h", 1e1] = None
+    motor_current: Annotated[float | None, "i", 1e2] = None
+    input_current: Annotated[float | None, "i", 1e2] = None
+    d_current: Annotated[float | None, "i", 1e2] = None
+    q_current: Annotated[float | None, "i", 1e2] = None
+    duty: Annotated[float | None, "h", 1e3] = None
+    erpm: Annotated[float | None, "i", 1e0] = None
+    input_voltage: Annotated[float | None, "h", 1e1] = None
+    ah: Annotated[float | None, "i", 1e4] = None
+    ah_charged: Annotated[float | None, "i", 1e4] = None
+    wh: Annotated[float | None, "i", 1e4] = None
+    wh_charged: Annotated[float | None, "i", 1e4] = None
+    tachometer: Annotated[int | None, "i"] = None
+    tachometer_abs: Annotated[int | None, "i"] = None
+    fault: Annotated[int | None, "B"] = None
+    pid_pos_deg: Annotated[float | None, "i", 1e6, Firmware(3, 34)] = None
+    controller_id: Annotated[int | None, "B", None, Firmware(3, 40)] = None
+    temp_mos1_c: Annotated[float | None, "h", 1e1, Firmware(3, 48)] = None
+    temp_mos2_c: Annotated[float | None, "h", 1e1, Firmware(3, 48)] = None
+    temp_mos3_c: Annotated[float | None, "h", 1e1, Firmware(3, 48)] = None
+    v_d: Annotated[float | None, "i", 1e3, Firmware(3, 60)] = None
+    v_q: Annotated[float | None, "i", 1e3, Firmware(3, 60)] = None
+    status: Annotated[int | None, "B", None, Firmware(5, 3)] = None
+    temp_mos4_c: Annotated[float | None, "h", 1e1] = None
+    temp_mos5_c: Annotated[float | None, "h", 1e1] = None
+    temp_mos6_c: Annotated[float | None, "h", 1e1] = None
+    temp_pcb_c: Annotated[float | None, "h", 1e1] = None
     mask: int | None = None
 
 
-_VALUES_BITS: tuple[tuple[Field, ...], ...] = (
-    (Field("temp_fet_c", "h", 1e1),),
-    (Field("temp_motor_c", "h", 1e1),),
-    (Field("motor_current", "i", 1e2),),
-    (Field("input_current", "i", 1e2),),
-    (Field("d_current", "i", 1e2),),
-    (Field("q_current", "i", 1e2),),
-    (Field("duty", "h", 1e3),),
-    (Field("erpm", "i", 1e0),),
-    (Field("input_voltage", "h", 1e1),),
-    (Field("ah", "i", 1e4),),
-    (Field("ah_charged", "i", 1e4),),
-    (Field("wh", "i", 1e4),),
-    (Field("wh_charged", "i", 1e4),),
-    (Field("tachometer", "i"),),
-    (Field("tachometer_abs", "i"),),
-    (Field("fault", "B"),),
-    (Field("pid_pos_deg", "i", 1e6, Firmware(3, 34)),),
-    (Field("controller_id", "B", None, Firmware(3, 40)),),
-    tuple(Field(f"temp_mos{n}_c", "h", 1e1, Firmware(3, 48)) for n in (1, 2, 3)),
-    (Field("v_d", "i", 1e3, Firmware(3, 60)),),
-    (Field("v_q", "i", 1e3, Firmware(3, 60)),),
-    (Field("status", "B", None, Firmware(5, 3)),),
+_VALUES = wire_fields(Values)
+_VALUES_BITS = (
+    *((field,) for field in _VALUES[:18]),
+    _VALUES[18:21],  # the temperatures of three switches share a bit
+    *((field,) for field in _VALUES[21:24]),
 )
-_OLD_VALUES: tuple[Field, ...] = (
-    *(Field(f"temp_mos{n}_c", "h", 1e1) for n in range(1, 7)),
-    Field("temp_pcb_c", "h", 1e1),
-    *(bit[0] for bit in (*_VALUES_BITS[2:4], *_VALUES_BITS[6:16])),
-)
+_OLD_VALUES = (*_VALUES[18:21], *_VALUES[24:28], *_VALUES[2:4], *_VALUES[6:16])
 _OLD_VALUES_SIZE = 56
 """Reply length that distinguishes the table of firmware 3.00 and older from all later ones."""
 
@@ -103,6 +83,9 @@ class Uptime:
     mask: int = UPTIME_MASK
 
 
+_Single = Annotated[float | None, "f"]
+
+
 @quick_value
 class Imu:
     """GET_IMU_DATA reply in SI units: rad, m/s², rad/s; the magnetometer as the board scales it.
@@ -112,23 +95,23 @@ class Imu:
     """
 
     mask: int
-    roll: float | None = None
-    pitch: float | None = None
-    yaw: float | None = None
-    accel_x: float | None = None
-    accel_y: float | None = None
-    accel_z: float | None = None
-    gyro_x: float | None = None
-    gyro_y: float | None = None
-    gyro_z: float | None = None
-    mag_x: float | None = None
-    mag_y: float | None = None
-    mag_z: float | None = None
-    q_w: float | None = None
-    q_x: float | None = None
-    q_y: float | None = None
-    q_z: float | None = None
-    controller_id: int | None = None
+    roll: _Single = None
+    pitch: _Single = None
+    yaw: _Single = None
+    accel_x: _Single = None
+    accel_y: _Single = None
+    accel_z: _Single = None
+    gyro_x: _Single = None
+    gyro_y: _Single = None
+    gyro_z: _Single = None
+    mag_x: _Single = None
+    mag_y: _Single = None
+    mag_z: _Single = None
+    q_w: _Single = None
+    q_x: _Single = None
+    q_y: _Single = None
+    q_z: _Single = None
+    controller_id: Annotated[int | None, "B", None, FW_6_05] = None
 
 
 def has_chip(accel_x: float, accel_y: float, accel_z: float) -> bool:
@@ -144,10 +127,8 @@ _IMU_UNIT = {
     **dict.fromkeys(("accel_x", "accel_y", "accel_z"), STANDARD_GRAVITY),
     **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), math.pi / 180),
 }
-_IMU_BITS: tuple[tuple[Field, ...], ...] = tuple(
-    (Field(each.name, "f"),) for each in fields(Imu)[1:17]
-)
-_IMU_ID = Field("controller_id", "B", None, FW_6_05)
+*_IMU_NUMBERS, _IMU_ID = wire_fields(Imu)
+_IMU_BITS = tuple((field,) for field in _IMU_NUMBERS)
 
 
 @lru_cache(maxsize=64)

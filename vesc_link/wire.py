@@ -10,8 +10,9 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from operator import attrgetter, mul, truediv
-from typing import Any, NamedTuple
+from itertools import accumulate
+from operator import attrgetter, mul
+from typing import Any, NamedTuple, get_type_hints
 
 from steerd.vesc_link.ids import ALWAYS, Firmware
 
@@ -43,6 +44,12 @@ class Field:
     def size(self) -> int:
         """Bytes on the wire."""
         return struct.calcsize(">" + self.code)
+
+
+def wire_fields(cls: type[object]) -> tuple[Field, ...]:
+    """What a class says of its fields behind their types: code, scale and since, as `Field` has."""
+    hints = get_type_hints(cls, include_extras=True).items()
+    return tuple(Field(name, *of.__metadata__) for name, of in hints if hasattr(of, "__metadata__"))
 
 
 _SINGLE = struct.Struct(">f")
@@ -99,7 +106,7 @@ def pack_host(fields: tuple[Field, ...], record: object) -> bytes:
     """
     values = reader(fields)(record)
     numbers = [host_number(f.code, f.scale, v) for f, v in zip(fields, values, strict=True)]
-    return _struct(fields).pack(*numbers)
+    return _layout(fields).numbers.pack(*numbers)
 
 
 def pack_device(fields: tuple[Field, ...], values: Sequence[Number]) -> bytes:
@@ -108,7 +115,7 @@ def pack_device(fields: tuple[Field, ...], values: Sequence[Number]) -> bytes:
     Raises:
         ValueError: a value is not finite (a simulated device must not have one).
     """
-    layout = _device_layout(fields)
+    layout = _layout(fields)
     singles = layout.singles
     try:
         rounded = singles.unpack(singles.pack(*map(values.__getitem__, layout.measured)))
@@ -121,29 +128,32 @@ def pack_device(fields: tuple[Field, ...], values: Sequence[Number]) -> bytes:
     for i, product in zip(layout.measured, products, strict=True):
         numbers[i] = 0.0 if -_SMALLEST_F32 < product < _SMALLEST_F32 else product
     try:
-        return _struct(fields).pack(*(map(int, numbers) if layout.whole else numbers))
+        return layout.numbers.pack(*(map(int, numbers) if layout.whole else numbers))
     except struct.error:  # one does not fit, or is no whole number among floats
-        return _struct(fields).pack(*map(_saturated, layout.codes, numbers))
+        return layout.numbers.pack(*map(_saturated, layout.codes, numbers))
 
 
-class _DeviceLayout(NamedTuple):
-    """Which fields are measured in single precision, their scales, and what each field holds."""
+class _Layout(NamedTuple):
+    """Fields in line: their bytes, names and codes; which are measured, in what scales."""
 
+    numbers: struct.Struct
+    names: tuple[str, ...]
+    codes: tuple[str, ...]
     measured: tuple[int, ...]
     singles: struct.Struct
+    """The measured ones in single precision."""
     scales: tuple[float, ...]
-    codes: tuple[str, ...]
     whole: bool
     """Every field holds a whole number."""
 
 
-@lru_cache(maxsize=64)
-def _device_layout(fields: tuple[Field, ...]) -> _DeviceLayout:
+@lru_cache(maxsize=128)
+def _layout(fields: tuple[Field, ...]) -> _Layout:
+    names, codes = tuple(f.name for f in fields), "".join(f.code for f in fields)
     measured = tuple(i for i, f in enumerate(fields) if f.code == "f" or f.scale is not None)
-    codes = tuple(f.code for f in fields)
     scales = tuple(fields[i].scale or 1.0 for i in measured)
-    singles = struct.Struct(f">{len(measured)}f")
-    return _DeviceLayout(measured, singles, scales, codes, "f" not in codes)
+    numbers, singles = struct.Struct(">" + codes), struct.Struct(f">{len(measured)}f")
+    return _Layout(numbers, names, tuple(codes), measured, singles, scales, "f" not in codes)
 
 
 @lru_cache(maxsize=64)
@@ -156,40 +166,19 @@ def reader(fields: tuple[Field, ...]) -> Callable[[object], tuple[Any, ...]]:
 
 
 @lru_cache(maxsize=64)
-def _struct(fields: tuple[Field, ...]) -> struct.Struct:
-    return struct.Struct(">" + "".join(f.code for f in fields))
-
-
-class _Layout(NamedTuple):
-    """Fields that lie whole within a payload: their bytes; names, and scales of which."""
-
-    numbers: struct.Struct
-    names: tuple[str, ...]
-    scaled: tuple[str, ...]
-    scales: tuple[float, ...]
-
-
-@lru_cache(maxsize=64)
-def _layout(fields: tuple[Field, ...], size: int) -> _Layout:
-    present: list[Field] = []
-    left = size
-    for field in fields:
-        left -= field.size
-        if left < 0:
-            break
-        present.append(field)
-    measured = {f.name: f.scale for f in present if f.scale is not None}
-    names = tuple(f.name for f in present)
-    return _Layout(_struct(tuple(present)), names, tuple(measured), tuple(measured.values()))
+def _layout_within(fields: tuple[Field, ...], size: int) -> _Layout:
+    """Of the fields that lie whole within so many bytes."""
+    ends = accumulate(field.size for field in fields)
+    return _layout(tuple(f for f, end in zip(fields, ends, strict=True) if end <= size))
 
 
 def unpack_fields(fields: tuple[Field, ...], payload: bytes, offset: int) -> dict[str, Any]:
     """Read fields in order until the payload ends; those beyond are absent."""
-    layout = _layout(fields, len(payload) - offset)
-    values = dict(zip(layout.names, layout.numbers.unpack_from(payload, offset), strict=True))
-    counts = map(values.__getitem__, layout.scaled)
-    values.update(zip(layout.scaled, map(truediv, counts, layout.scales), strict=True))
-    return values
+    layout = _layout_within(fields, len(payload) - offset)
+    values = [*layout.numbers.unpack_from(payload, offset)]
+    for i, scale in zip(layout.measured, layout.scales, strict=True):
+        values[i] /= scale
+    return dict(zip(layout.names, values, strict=True))
 
 
 def all_finite(values: Mapping[str, Number]) -> bool:

@@ -8,7 +8,6 @@ from operator import attrgetter
 import numpy as np
 import pytest
 from mcap.reader import make_reader  # noqa: TID251
-from mcap.records import Attachment  # noqa: TID251
 from mcap.writer import Writer  # noqa: TID251
 from mcap_ros2.decoder import DecoderFactory
 
@@ -196,13 +195,13 @@ def test_bytes_are_the_librarys():
     for name, values in (("one", {"a": "b", "c": ""}), ("two", {})):
         library.add_metadata(name, values)
         writer.add_metadata(name, values)
-    library.add_attachment(3, 4, "car.toml", "application/toml", b"mass")
-    writer.add_attachment(Attachment(3, 4, "car.toml", "application/toml", b"mass"))
+    for each in (library, writer):
+        each.add_attachment(3, 4, "car.toml", "application/toml", b"mass")
     for k in range(3):
         schema = library.register_schema(f"s{k}", "ros2msg", bytes(k))
-        assert writer.add_schema(f"s{k}", "ros2msg", bytes(k)) == schema
+        assert writer.register_schema(f"s{k}", "ros2msg", bytes(k)) == schema
         channel = library.register_channel(f"/t{k}", "cdr", schema, {"k": "v"})
-        assert writer.add_channel(f"/t{k}", "cdr", schema, {"k": "v"}) == channel
+        assert writer.register_channel(f"/t{k}", "cdr", schema, {"k": "v"}) == channel
     log_ns = 1000
     for k in range(20_000):  # three chunks by their size, more by their flushes
         log_ns += int(rng.integers(-50, 1000))
@@ -212,6 +211,8 @@ def test_bytes_are_the_librarys():
         if k % 3001 == 0:
             library.flush()
             writer.flush()
+    assert len(library._Writer__chunk_indices) == 7
+    assert len(writer._Writer__chunk_indices) == 0  # packed: memory stays flat
     library.finish()
     writer.finish()
     assert ours.getvalue() == theirs.getvalue()
