@@ -42,21 +42,6 @@ def test_a_full_pipe_drops_whole_records_and_recovers(pipe):
     assert all(record.data == RECORD.data for record in before)
 
 
-@pytest.mark.parametrize("size", [600, 1400, 4000, 4200, 9000])
-def test_the_age_of_a_full_pipe_grows_until_its_reader_takes_something(pipe, size):
-    writer, batch, t_ns = pipe_records.PipeWriter(pipe[1]), [bytes(size)], 0
-    while writer.full_since_ns is None:
-        t_ns += 1
-        writer.write(batch, t_ns)
-    began_ns = t_ns
-    for t_ns in range(began_ns, began_ns + 6000):
-        writer.write(batch, t_ns)
-    assert writer.full_since_ns == began_ns
-    os.read(pipe[0], 1 << 16)
-    writer.write(batch, t_ns)
-    assert writer.full_since_ns is None
-
-
 def test_a_tick_without_records_tears_none_that_was_taken_in_part(pipe):
     reader, writer = pipe_records.PipeReader(pipe[0]), pipe_records.PipeWriter(pipe[1])
     packed = pipe_records.pack_record(RECORD)

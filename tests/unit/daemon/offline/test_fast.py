@@ -1,20 +1,14 @@
-"""Drives in virtual time: recorded, interrupted, unplugged; and what cannot be replayed."""
-
-from itertools import pairwise
+"""Drives in virtual time: recorded, interrupted; and what cannot be replayed."""
 
 import pytest
 from mcap.writer import Writer  # noqa: TID251
 
-from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, make_plan, make_world_config
+from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.loop.findings import Flag
-from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import check_driven, record_virtual
 from steerd.daemon.offline.replay import check_same, replay
 from steerd.daemon.offline.virtual import drive, make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.sim_hw.plant.faults import Fault
-from steerd.sim_hw.world import World
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
@@ -74,10 +68,7 @@ def test_a_car_that_never_drove_is_an_error_that_says_what_was_missing(plan):
     check_driven(run)
 
 
-# Time in a virtual run, and what a lost link does to it.
-UNPLUGGED_NS = 200_000_000
-
-
+# Time in a virtual run.
 @pytest.mark.parametrize(("late", "periods"), [(0, 1), (0.4, 1), (2.5, 3)])
 def test_a_late_tick_skips_whole_periods(plan, late, periods):
     run = make_virtual_run(plan)
@@ -96,18 +87,6 @@ def test_a_failed_drive_raises_its_own_reason_after_that_tick(plan):
     with pytest.raises(OSError, match="no space left"):
         drive(run, fail)
     assert run.t_ns == 2 * run.period_ns
-
-
-def test_an_unplugged_port_is_noticed_and_opened_again(plan):
-    gone = Fault("unplug", UNPLUGGED_NS, 2 * UNPLUGGED_NS)
-    run = make_virtual_run(plan, (), World(make_world_config(plan), (gone,)))
-    linked = []
-    while run.t_ns < 5 * UNPLUGGED_NS:
-        run.step()
-        linked.append(bool(run.core.flags & Flag.LINKED))
-    assert [a for a, b in pairwise(linked) if a != b] == [True, False]
-    assert not run.core.flags & Flag.SERIAL_FAULT
-    assert run.core.loop.supervisor.state is not SupervisorState.RUNNING
 
 
 # Replay: what cannot be compared.

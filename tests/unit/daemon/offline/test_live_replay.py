@@ -52,16 +52,6 @@ def ask_on_the_way(run):
         run.step()
 
 
-def test_every_change_is_recorded_with_its_answer(session):
-    said = [r.decode() for r in session.messages("/steerd/car1/parameters")]
-    answers = {p.seq: p for p in said if p.lease_id}
-    assert [answers[i].accepted for i in range(len(CHANGES))] == [1, 1, 0, 0, 1]
-    assert "speed 3 m/s, allowed 0.3 to 1.5 m/s" in answers[2].text
-    assert (answers[3].speed, answers[3].offset) == (0.75, 0.1), "all or nothing"
-    requests = [r.decode() for r in session.messages("/steerd/car1/cmd/parameters")]
-    assert [r.seq for r in requests] == list(range(len(CHANGES)))
-
-
 def test_the_car_does_as_asked_and_is_never_stopped_for_it(session):
     table = session.columns(m.StateMessage)
     modes = set(table["mode"])

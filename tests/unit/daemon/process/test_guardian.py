@@ -61,21 +61,6 @@ def make_sides():
 page = pytest.fixture(lambda: make_sides()[0])
 
 
-def test_both_sides_see_the_same_words():
-    core, watcher = make_sides()
-    seen = watcher.words
-    assert (seen.heartbeat_ns, seen.engaged, seen.tripped_ns, seen.clean) == (0, 0, 0, 0)
-    core.write_heartbeat(2**63 + 5, True)
-    assert (watcher.words.heartbeat_ns, watcher.words.engaged) == (2**63 + 5, True)
-    watcher.watch(11)
-    watcher.trip(12, BRAKE)
-    assert (core.words.guardian_ns, core.words.tripped_ns, core.words.clean) == (11, 12, False)
-    core.words.clean = 1
-    assert watcher.words.clean
-    core.write_heartbeat(1, False)
-    assert not watcher.words.engaged
-
-
 def test_the_page_tells_when_the_guardian_itself_stood_still(page):
     start = 10**12
     assert find_pause(page, start) is None, "it never lived"

@@ -152,7 +152,7 @@ def write_until_lost(r, which, size, most_s=60):
 
 
 @pytest.mark.parametrize(("which", "flag"), [(0, Flag.RECORDER_LOST), (1, Flag.GATEWAY_LOST)])
-@pytest.mark.parametrize("size", [600, 1400, 4000, 4200])
+@pytest.mark.parametrize("size", [600, 1400, 4000, 4200, 9000])
 def test_w26_w27_a_reader_that_takes_nothing_for_a_second(piped, which, flag, size):
     r = piped()
     full_ns, lost_ns = write_until_lost(r, which, size)

@@ -1,4 +1,4 @@
-"""The pages on sessions and mocap name what the code has, all of it and nothing else."""
+"""The pages on sessions, mocap and safety name what the code has, all of it and nothing else."""
 
 import json
 import re
@@ -16,6 +16,7 @@ from steerd.mocap_link.gates import REASONS
 from steerd.mocap_link.source import ClockKind
 from steerd.steer_bus.fields import Scalar, leaves_of
 from steerd.steer_bus.topics import TOPICS, find_topic, make_session_topic
+from tests.safety.report import write_thresholds
 
 ROOT = Path(__file__).resolve().parents[4]
 
@@ -51,6 +52,11 @@ def test_the_page_of_maps_names_every_column_and_it_and_the_examples_hold_maps()
     assert len(examples) >= 2
     for path in examples:
         assert "t" in load_map(path).columns
+
+
+def test_thresholds_and_their_bounds_are_those_of_the_safety_page():
+    page = (ROOT / "docs" / "reference" / "safety-watchdogs.md").read_text()
+    assert "\n".join(write_thresholds()) in page
 
 
 # The layouts in `examples/` name topics and fields that exist, and all of their own panels.
