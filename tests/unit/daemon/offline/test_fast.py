@@ -1,7 +1,6 @@
 """Drives in virtual time: recorded, interrupted; and what cannot be replayed."""
 
 import pytest
-from mcap.writer import Writer  # noqa: TID251
 
 from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -11,9 +10,8 @@ from steerd.daemon.offline.virtual import drive, make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from steerd.steer_bus.codec import encode
-from steerd.steer_bus.fields import schema_text
 from steerd.steer_bus.session_read import open_session
+from tests.unit.daemon.sessions.test_bad_content import replacing, write
 
 
 @pytest.fixture(scope="module")
@@ -91,16 +89,9 @@ def test_a_failed_drive_raises_its_own_reason_after_that_tick(plan):
 
 # Replay: what cannot be compared.
 def test_a_session_of_another_version_is_refused_and_nothing_compared_is_an_error(tmp_path):
-    path = tmp_path / "old.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start("ros2")
-        text = schema_text(m.Tick).replace("uint32 flags", "uint32 ticked")
-        schema = writer.register_schema("steerd_msgs/msg/Tick", "ros2msg", text.encode())
-        channel = writer.register_channel("/steerd/car1/tick", "cdr", schema)
-        data = encode(m.Tick(m.make_header(0, m.BODY), 1, 2, 3, 4, 5))
-        writer.add_message(channel, 1, data, 1)
-        writer.finish()
+    tick = m.Tick(m.make_header(0, m.BODY), 1, 2, 3, 4, 5)
+    schema = replacing("uint32 flags", "uint32 ticked")
+    path = write(tmp_path / "old.mcap", [("/steerd/car1/tick", 1, tick)], **schema)
     with pytest.raises(SteerdError, match=r"lacks \['uint32 flags'\].*another version") as caught:
         replay(open_session(path), path.name)
     assert caught.value.code is ExitCode.INVALID

@@ -189,21 +189,19 @@ def test_w28_a_machine_that_slept(plan, monkeypatch, slept_ns, flag):
     assert r.core.flags == Flag.LINKED, "reported once"
 
 
-def test_w29_the_kernel_gives_no_descriptor_for_a_guardian(plan):
-    """The limit of open files is lowered from outside before the port is opened."""
-    core = make_core(plan, ())
-    clock = SimpleNamespace(now_ns=lambda: 0, realtime_ns=lambda: 0)
-    links = CoreLinks(*NOBODY, (), -1)
-    it = Runner(core, clock, make_port, World(10 * MS), links, ProcessGuard(realtime=False))
+def test_w29_the_kernel_gives_no_descriptor_for_a_guardian(r):
+    """The limit of open files is lowered from outside before the port is opened anew."""
+    r.it._lose_port()
+    r.core.flags, r.it._guard = 0, ProcessGuard(realtime=False)
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))
     try:
-        it._housekeeping(0)
+        r.it._housekeeping(SECOND)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
-    assert isinstance(core.error, OSError)
-    assert core.flags & Flag.EXCEPTION
-    assert not core.flags & Flag.LINKED, "a port without a guardian arms no car"
+    assert isinstance(r.core.error, OSError)
+    assert r.core.flags & Flag.EXCEPTION
+    assert not r.core.flags & Flag.LINKED, "a port without a guardian arms no car"
 
 
 REMOTE, LOCAL = 0, 1

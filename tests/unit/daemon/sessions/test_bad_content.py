@@ -277,21 +277,15 @@ def test_what_is_no_file(tmp_path, command):
 
 
 def test_truncation_at_many_places(whole, put):  # 5, 6
-    saved = []
+    """What is kept of each: test_session_damage."""
     for percent in range(1, 100, 7):
         path = put(whole[: len(whole) * percent // 100])
         assert steerd("info", path, *["--json"] * (percent % 9 > 0))[0] in (0, 4)
         code, out, err = steerd("recover", path)
         assert (code == 0) == ("saved" in out)
         assert code in (0, 4)
-        if code == 0:
-            assert "warning: " in err
-            recovered = path.with_name("a.recovered.mcap")
-            saved.append(open_session(recovered).info().count)
-            assert not open_session(recovered).info().warnings
-            recovered.unlink()
-    assert saved == sorted(saved)
-    assert saved[-1] == open_session(put(whole)).info().count
+        assert code or "warning: " in err
+        path.with_name("a.recovered.mcap").unlink(missing_ok=code != 0)
 
 
 def test_thousands_of_channels_and_messages_that_are_not_their_schema(tmp_path):  # 19
