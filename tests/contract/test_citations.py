@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.contract.size import ROOT, list_files
+from tests.contract.size import ROOMS, ROOT, list_files
 
 TEXT = (".py", ".pyi", ".md", ".toml", ".yaml", ".yml", ".html", "Makefile")
 HISTORY = ROOT / "CHANGELOG.md"  # what it names was there when it was written
@@ -17,9 +17,8 @@ HISTORY = ROOT / "CHANGELOG.md"  # what it names was there when it was written
 CITED = re.compile(r"(?<![\w./-])(docs/[\w./-]+\.md)\b(?:#([\w.-]*\w))?")
 LINKED = re.compile(r"\]\((?!\w+:)([^)\s#]*)(?:#([^)\s]+))?\)")
 FENCE = re.compile(r"^(```|~~~).*?^\1", re.M | re.S)
-"""How pages outside the repository were cited once."""
-ROOMS = "benchmarks|car_model|config|controller|daemon|estimator|examples|mocap_link|sim_gap|sim_hw"
-NAMED_FILE = re.compile(rf"`((?:{ROOMS}|steer_bus|sysid|tests|vesc_link)/[\w./-]+\.\w+)`")
+FOLDERS = "|".join((*ROOMS, "benchmarks", "config", "examples", "tests"))
+NAMED_FILE = re.compile(rf"`((?:{FOLDERS})/[\w./-]+\.\w+)`")
 
 
 class Citation(NamedTuple):

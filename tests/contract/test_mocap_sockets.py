@@ -19,7 +19,7 @@ from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.mocap_sockets import NatNetSockets, VrpnSockets
 from steerd.sim_hw.world import World, WorldConfig
-from tests.safety.live import free_port as free_tcp_port
+from tests.safety.live import free_port
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -44,13 +44,6 @@ def follow(connect, server, count=5, **more):
     receiver, samples = connect(server.url, **more), []
     drive(receiver, server.pump, lambda: len(samples) > count, samples)
     return receiver, samples
-
-
-def free_port():
-    """A UDP port of loopback that nobody uses."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind((LOOPBACK, 0))
-        return probe.getsockname()[1]
 
 
 class Server:
@@ -170,7 +163,7 @@ def test_vrpn_client_leaves_a_server_of_another_kind(connect):
 
 
 def test_vrpn_without_a_server_backs_off(connect):
-    port = free_tcp_port()
+    port = free_port()
     receiver = connect(f"vrpn://{LOOPBACK}:{port}/car")
     assert isinstance(receiver, VrpnReceiver)
     attempts = []

@@ -18,35 +18,25 @@ from tests.contract.size import ROOMS, ROOT
 HEAVY = ("torch", "scipy", "matplotlib", "numba", "filterpy", "joblib", "pyarrow")
 HEAVY += ("jinja2", "rich", "distributed", "zenoh")
 SIM = "run --sim --fast --duration 1"
-MISSING = {
-    "run": (f"{SIM} --car none.toml", f"{SIM} --sim-car none.toml", f"{SIM} --path csv:none.csv"),
-    "collect": ("collect --sim --car none.toml", "collect --sim --sim-car none.toml",
-                "collect --sim --path csv:none.csv"),
-    "control": ("control --car none.toml", "control --path csv:none.csv"),
-    "sim": ("sim --car none.toml",),
-    "service": ("service print --car none.toml", "service print --sim-car none.toml",
-                "service print --path csv:none.csv"),
-    "probe": ("probe --car none.toml",), "effects": ("effects --add none.py",),
-    "export": ("export none.toml -o car.xml",),
-    "config": ("config --check none.toml", "config --from-vesc-yaml none.yaml"),
-    "mocap": ("mocap check none.mcap", "mocap check --car none.toml",
-              "mocap calibrate none.mcap", "mocap calibrate {here} --car none.toml"),
-    "calibrate": ("calibrate servo none.mcap", "calibrate servo --car none.toml"),
-    "identify": ("identify none.mcap", "identify {here} --car none.toml",
-                 "identify {here} --held-out none.mcap"),
-    "diagnose": ("diagnose none.mcap", "diagnose {here} --base none.toml",
-                 "diagnose {here} --held-out {here},none.mcap",
-                 "diagnose {here} --healthy none.mcap"),
-    "replay": ("replay none.mcap",),
-    "sessions": ("sessions tag none.mcap wet", "sessions note none.mcap good"),
-    "info": ("info none.mcap",), "plot": ("plot {here} none.mcap",),
-    "recover": ("recover none.mcap",),
-    "learn": ("learn none.mcap", "learn {here} --base none.toml"),
-    "sweep": ("sweep none.toml",),
-    "batch": ("batch summarise none.mcap", "batch identify {here} --cars none.toml"),
-    "import": ("import {here} --map none.toml",),
-}  # fmt: skip
-"""A line for every argument that names a file, by command; `{here}` is a file that exists."""
+MISSING = (
+    f"{SIM} --car none.toml", f"{SIM} --sim-car none.toml", f"{SIM} --path csv:none.csv",
+    "collect --sim --car none.toml", "collect --sim --sim-car none.toml",
+    "collect --sim --path csv:none.csv", "control --car none.toml", "control --path csv:none.csv",
+    "sim --car none.toml", "service print --car none.toml", "service print --sim-car none.toml",
+    "service print --path csv:none.csv", "probe --car none.toml", "effects --add none.py",
+    "export none.toml -o car.xml", "config --check none.toml", "config --from-vesc-yaml none.yaml",
+    "mocap check none.mcap", "mocap check --car none.toml", "mocap calibrate none.mcap",
+    "mocap calibrate {here} --car none.toml", "calibrate servo none.mcap",
+    "calibrate servo --car none.toml", "identify none.mcap", "identify {here} --car none.toml",
+    "identify {here} --held-out none.mcap", "diagnose none.mcap",
+    "diagnose {here} --base none.toml", "diagnose {here} --held-out {here},none.mcap",
+    "diagnose {here} --healthy none.mcap", "replay none.mcap", "sessions tag none.mcap wet",
+    "sessions note none.mcap good", "info none.mcap", "plot {here} none.mcap", "recover none.mcap",
+    "learn none.mcap", "learn {here} --base none.toml", "sweep none.toml",
+    "batch summarise none.mcap", "batch identify {here} --cars none.toml",
+    "import {here} --map none.toml",
+)  # fmt: skip
+"""A line for every argument that names a file; `{here}` is a file that exists."""
 
 
 def run_here(line: str, folder: str) -> tuple[int, str, set[str]]:
@@ -71,7 +61,7 @@ def load() -> Iterator[Callable[..., tuple[int, str, set[str]]]]:
         yield lambda line, folder: pool.apply(run_here, (line, str(folder)))
 
 
-@pytest.mark.parametrize("line", [line for lines in MISSING.values() for line in lines])
+@pytest.mark.parametrize("line", MISSING)
 def test_a_file_that_is_not_there_is_reported_before_anything_heavy_is_loaded(line, tmp_path, load):
     (tmp_path / "here.mcap").write_bytes(b"a file")
     code, said, loaded = load(line.format(here="here.mcap"), tmp_path)
