@@ -119,15 +119,13 @@ def test_vrpn_hangs_up_on_a_peer_that_speaks_something_else() -> None:
     assert world.mocap_read(MS)[-1].channel == "close"
 
 
-def test_effects_change_the_car_and_pose_latency_is_not_stamped() -> None:
+def test_effects_change_the_car_and_pose_latency_is_not_stamped(make_host) -> None:
     def end(text: str | None) -> Any:
         setting = parse_effects(text) if text else []
         effects, values = (tuple(each[i] for each in setting) for i in (0, 1))
-        world = World(WorldConfig(model=Model(DEFAULT_CAR, effects, values)))
-        for t in range(0, 1000 * MS, TICK):
-            world.serial_write(t, encode_frame(encode_command(c.SetErpm(2 * 4614))))
-        world.advance(1000 * MS)
-        return world.car.state, world.car.observe_pose(1000 * MS)
+        host = make_host(config=WorldConfig(model=Model(DEFAULT_CAR, effects, values)))
+        host.hold(1000, c.SetErpm(2 * 4614))
+        return host.world.car.state, host.world.car.observe_pose(host.t_ns)
 
     plain, latency = end(None), end("mocap_latency=0.05")
     assert plain[0] == latency[0]
