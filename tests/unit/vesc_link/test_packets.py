@@ -44,9 +44,7 @@ FULL_SIZE = {
 }  # fmt: skip
 
 
-def present(values: object) -> dict[str, object]:
-    assert dataclasses.is_dataclass(values)
-    assert not isinstance(values, type)
+def present(values: t.Values) -> dict[str, object]:
     return {k: v for k, v in dataclasses.asdict(values).items() if v is not None}
 
 
