@@ -6,7 +6,6 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ import pytest
 from steerd.mocap_link import natnet
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.sim_hw.plant.faults import Fault
-from steerd.sim_hw.real_time.links import SpawnedSim, fault_windows, spawn_sim
+from steerd.sim_hw.real_time.links import fault_windows, spawn_sim
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.sim_hw.world import WorldConfig
 from steerd.vesc_link import commands as c
@@ -42,22 +41,17 @@ def ask_version(fd: int) -> FwVersion:
     raise TimeoutError("no version came")
 
 
-@pytest.fixture
-def sim() -> Iterator[SpawnedSim]:
-    with spawn_sim(WorldConfig()) as spawned:
-        yield spawned
-
-
-def test_port_is_fresh_after_a_program_left_its_lock_and_bytes(sim: SpawnedSim) -> None:
-    fd = os.open(sim.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    os.write(fd, VERSION_REQUEST)
-    assert wait_for(fd)  # the reply is left unread
-    link = Path(sim.port)
-    born = link.lstat().st_mtime_ns
-    os.close(fd)
-    assert until(lambda: link.is_symlink() and link.lstat().st_mtime_ns > born)
-    with closing(open_port(sim.port)) as port:
-        assert ask_version(port.fd).uuid == VescConfig().uuid
+def test_port_is_fresh_after_a_program_left_its_lock_and_bytes() -> None:
+    with spawn_sim(WorldConfig()) as sim:
+        fd = os.open(sim.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        os.write(fd, VERSION_REQUEST)
+        assert wait_for(fd)  # the reply is left unread
+        link = Path(sim.port)
+        born = link.lstat().st_mtime_ns
+        os.close(fd)
+        assert until(lambda: link.is_symlink() and link.lstat().st_mtime_ns > born)
+        with closing(open_port(sim.port)) as port:
+            assert ask_version(port.fd).uuid == VescConfig().uuid
 
 
 def test_process_ends_when_its_parent_lets_go_and_cleans_up() -> None:
