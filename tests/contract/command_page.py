@@ -37,8 +37,6 @@ def _name(action: argparse.Action) -> str:
     value = action.metavar or action.dest.upper()
     if action.choices is not None and action.metavar is None:
         value = "|".join(str(choice) for choice in action.choices)
-    if isinstance(value, tuple):
-        value = " ".join(value)
     if not action.option_strings:
         return str(value)
     names = ", ".join(action.option_strings)

@@ -49,8 +49,7 @@ def find_citations(path: Path) -> Iterator[Citation]:
 def find_anchors(text: str) -> set[str]:
     """Explicit ids, and the slugs that headings get (GitHub's rule: repeats are numbered)."""
     text = FENCE.sub("", text)
-    anchors = set(re.findall(r"<\w+[^>]*\b(?:id|name)=\"([^\"]+)\"", text))
-    anchors |= set(re.findall(r"\{[^}\n]*#([\w.-]+)[^}\n]*\}", text))
+    anchors = set(re.findall(r"<\w+[^>]*\bid=\"([^\"]+)\"", text))
     seen: dict[str, int] = {}
     for title in re.findall(r"^#{1,6} +(.+?) *#*$", text, re.M):
         slug = make_slug(title)
