@@ -1,4 +1,4 @@
-"""Every effect: nothing at its null, bounds, gradients; the equations over every number type."""
+"""Every effect: nothing at its null, bounds, gradients; the operations over every number type."""
 
 import math
 from typing import Any
@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from benchmarks.torch_reference import TORCH
-from steerd.car_model.chassis import derivative
 from steerd.car_model.effect import Effect, Role
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model, delays, observe
@@ -16,7 +15,6 @@ from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.car_model.rollout import simulate, start
-from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
 
 STEP = 0.01
@@ -124,7 +122,7 @@ def test_gradients_at_and_beside_the_null_are_finite(effect: Effect) -> None:
             assert all(acting), "it needs a scan: no gradient at the null says where to go"
 
 
-# One set of equations over every number type: floats and arrays agree.
+# One set of operations over every number type: floats and arrays agree.
 VALUES = (-1.3, -0.25, 0.0, 0.25, 1.3)
 CHOICES = {
     "square root": lambda ops, a, b: ops.sqrt(1.25 + a),
@@ -149,14 +147,3 @@ def test_choices_of_floats():
     assert (FLOAT.minimum(1.0, 2.0), FLOAT.maximum(1.0, 2.0)) == (1.0, 2.0)
     assert [FLOAT.clip(a, -0.5, 0.5) for a in VALUES] == [-0.5, -0.25, 0.0, 0.25, 0.5]
     assert [FLOAT.where_positive(a, 1.0, 2.0) for a in VALUES] == [2.0, 2.0, 2.0, 1.0, 1.0]
-
-
-def test_lanes_of_an_array_are_cars_of_their_own():
-    """States from crawling to fast, with wheel angle and acceleration."""
-    rng = np.random.default_rng(4)
-    lanes = rng.normal(0.0, (3.0, 3.0, 2.0, 0.0, 1.0, 0.2, 0.2, 0.0, 0.0), (16, 9)).T
-    lanes[[3, 7, 8]] = rng.uniform((-0.5, -0.4, -4.0), (5.0, 0.4, 4.0), (16, 3)).T
-    found = derivative(SINGLE_TRACK, NUMPY, DEFAULT_CAR, State(*lanes[:7]), *lanes[7:])
-    for i, (*state, wheel, accel) in enumerate(lanes.T.tolist()):
-        expected = derivative(SINGLE_TRACK, FLOAT, DEFAULT_CAR, State(*state), wheel, accel)
-        assert [v[i] for v in found] == pytest.approx(list(expected), rel=1e-12, abs=1e-12)
