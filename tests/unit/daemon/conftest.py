@@ -3,7 +3,7 @@
 import contextlib
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -21,11 +21,17 @@ def pipe() -> Iterator[tuple[int, int]]:
 
 
 @pytest.fixture
-def ends() -> Iterator[tuple[socket.socket, socket.socket]]:
-    """Both ends of a socket for packets, neither of which blocks."""
-    pair = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    for end in pair:
-        end.setblocking(False)
-    yield pair
-    for end in pair:
-        end.close()
+def make_ends() -> Iterator[Callable[[], tuple[socket.socket, socket.socket]]]:
+    """Makes both ends of a socket for packets, neither of which blocks."""
+    with contextlib.ExitStack() as open_ends:
+
+        def make() -> tuple[socket.socket, socket.socket]:
+            pair = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            for end in pair:
+                open_ends.enter_context(end).setblocking(False)
+            return pair
+
+        yield make
+
+
+ends = pytest.fixture(lambda make_ends: make_ends())

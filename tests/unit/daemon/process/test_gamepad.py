@@ -28,17 +28,9 @@ RECORDED = struct.pack("qqHHi", 1700000000, 5, KEY, 310, 1) + struct.pack(
 """Two events as `cat /dev/input/event5` writes them on a 64-bit machine."""
 
 
-@pytest.fixture
-def pipe():
-    read_fd, write_fd = os.pipe()
-    pad = gamepad.Pad("a pipe", read_fd)
-    yield pad, write_fd
-    pad.close()
-
-
 @pytest.mark.parametrize("cut", [1, 23, 24, 25, 47, 48])
 def test_bytes_of_the_kernel_are_events_wherever_they_are_cut(pipe, cut):
-    pad, write_fd = pipe
+    pad, write_fd = gamepad.Pad("a pipe", pipe[0]), pipe[1]
     os.write(write_fd, RECORDED[:cut])
     events = pad.read()
     os.write(write_fd, RECORDED[cut:] + RECORDED)

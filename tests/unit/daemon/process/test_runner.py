@@ -204,27 +204,16 @@ def test_w29_the_kernel_gives_no_descriptor_for_a_guardian(r):
     assert not r.core.flags & Flag.LINKED, "a port without a guardian arms no car"
 
 
-REMOTE, LOCAL = 0, 1
-
-
-@pytest.fixture
-def both_ends():
-    """The core's ends of the sockets of its parent and the gateway, and the other ends of both."""
-    pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in range(2)]
-    for end in (each for pair in pairs for each in pair):
-        end.setblocking(False)
-    yield [pair[0] for pair in pairs], {LOCAL: pairs[0][1], REMOTE: pairs[1][1]}
-    for end in (each for pair in pairs for each in pair):
-        end.close()
+LOCAL, REMOTE = 0, 1  # whose socket: the parent's, the gateway's
 
 
 @pytest.mark.parametrize(("who", "answers", "found"), [
     (REMOTE, (0, 42), False), (REMOTE, (0,), True), (REMOTE, (0, 7), True),
     (LOCAL, (0,), False), (LOCAL, (), False),
 ])  # fmt: skip
-def test_w27_the_holder_on_the_bus_hears_no_heartbeat(piped, both_ends, who, answers, found):
+def test_w27_the_holder_on_the_bus_hears_no_heartbeat(piped, make_ends, who, answers, found):
     """An operator keeps the lease; the gateway (lease 0) and others send heartbeats back."""
-    cores, others = both_ends
+    cores, others = zip(make_ends(), make_ends(), strict=True)
     r, operator, now = piped(requests=cores), Operator(1, 42, "test"), [0]
     r.clock.now_ns = r.clock.realtime_ns = lambda: now[0]
     for now[0] in range(0, 3 * SECOND, 50 * MS):
