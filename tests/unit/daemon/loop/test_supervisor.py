@@ -354,13 +354,6 @@ def test_estop_brakes_at_least_2_s_then_is_silent_until_reset():
     assert car.tick(Fact.RESET, facts=GOOD) == DISARMED
 
 
-def test_estop_goes_on_braking_while_the_car_moves():
-    car = Car().running()
-    car.tick(Fact.CALL_ESTOP)
-    car.ticks(500)
-    assert car.action.motor == MotorOutput.ESTOP_BRAKE
-
-
 def test_estop_takes_2_s_without_a_speed_as_standing():
     car = Car().running()
     car.tick(Fact.CALL_ESTOP)
@@ -373,4 +366,6 @@ def test_estop_takes_2_s_without_a_speed_as_standing():
     assert car.action.motor == MotorOutput.SILENT
     car.tick(speed=0.05)
     assert not sv.stands(car.memory, car.t_ns), "it rolls, as is seen now"
+    car.ticks(300)
+    assert car.action.motor == MotorOutput.ESTOP_BRAKE, "for as long as it moves"
     assert car.tick(Fact.RESET) == ESTOP

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerd.daemon.process.pacing import MARGIN, SLEW, Pace, early_window_ns, step_pace
+from steerd.daemon.process.pacing import MARGIN, SLEW, STEADY, Pace, early_window_ns, step_pace
 
 MS = 1_000_000
 TICKS = 2000
@@ -100,4 +100,4 @@ def test_only_the_pose_that_belongs_to_a_deadline_makes_its_tick(period_ms, rati
 
 @given(jitter=st.floats(0.0, 1e9), period=st.integers(MS, 20 * MS))
 def test_no_pose_is_early_by_more_than_half_a_period(jitter, period):
-    assert 0 <= early_window_ns(Pace(0, 0, jitter), period) <= period // 2
+    assert 0 <= early_window_ns(Pace(0, 0, jitter, steady=STEADY), period) <= period // 2
