@@ -17,7 +17,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.topics import LAST_MODEL, make_key
 from tests.local_bus import LocalBus, LocalHub
-from tests.unit.daemon.terminal.test_dashboard import printed
+from tests.unit.daemon.terminal.test_terminal import printed
 
 
 @pytest.mark.parametrize(("verdict", "words"), [
