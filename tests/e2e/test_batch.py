@@ -14,12 +14,12 @@ from steerd.steer_bus.session_read import open_session
 
 pytestmark = pytest.mark.slow
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
-DAYS, CHANGED = 9, 5
+DAYS, CHANGED = 6, 3
 
 
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory):
-    """Two cars over nine days; on the sixth somebody bends the steering of the second."""
+    """Two cars over six days; on the fourth somebody bends the steering of the second."""
     folder = tmp_path_factory.mktemp("fleet")
     make_fleet(folder, 2, DAYS, (Hidden("car2", "steer_bias", CHANGED, 0.02),))
     return folder
@@ -43,10 +43,10 @@ def test_the_car_and_the_day_of_a_change_are_found(fleet, tmp_path):
     found = steerd.batch("identify", fleet, output=out, jobs=1)
     assert {row["outcome"] for row in found.rows} == {"done"}
     first = found.changes[0]
-    assert (first.car, first.quantity, first.day) == ("car2", "steer_bias", "2026-03-06")
+    assert (first.car, first.quantity, first.day) == ("car2", "steer_bias", "2026-03-04")
     assert first.after - first.before == pytest.approx(0.02, abs=0.004)
     assert {change.car for change in found.changes} == {"car2"}
-    assert "car2 since 2026-03-06" in found.render_report()
+    assert "car2 since 2026-03-04" in found.render_report()
     table = polars.read_parquet(out)
     assert (table.height, table["steer_bias_sd"].null_count()) == (2 * DAYS, 0)
     assert table["day"][0] == "2026-03-01"
@@ -76,7 +76,7 @@ def test_a_failed_session_is_a_row_and_the_next_start_tries_it_again(drives, tmp
 def test_a_session_is_diagnosed_with_its_cars_own_file(fleet, tmp_path):
     folder = tmp_path / "some"
     folder.mkdir()
-    shutil.copyfile(fleet / "car2" / "day08.mcap", folder / "late.mcap")
+    shutil.copyfile(fleet / "car2" / "day05.mcap", folder / "late.mcap")
     fit = steerd.identify(fleet / "car2" / "day00.mcap", wheelbase=0.3302)
     (tmp_path / "cars").mkdir()
     fit.save_car(tmp_path / "cars" / "car2.toml")

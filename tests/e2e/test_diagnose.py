@@ -150,19 +150,6 @@ def test_steps_of_steering_tell_dead_time_by_its_name(tmp_path):
     assert any("excitation plan" in note for note in told["residual"]["notes"])
 
 
-def test_the_prediction_stands_before_a_reserved_session_is_opened(late, tmp_path, capsys):
-    broken, told = tmp_path / "broken.mcap", tmp_path / "prediction.json"
-    broken.write_bytes(b"nothing")
-    session = str(late[0] / "late.mcap")
-    words = ["diagnose", session, "--held-out", str(broken), "--prediction", str(told),
-             "--no-pairs", "--no-closed-loop", "--only", "steer_delay", "--json"]  # fmt: skip
-    assert run_cli(words) in (3, 4)
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert hashlib.sha256(told.read_bytes()).hexdigest()[:16] in said.err
-    assert "broken.mcap" in said.err.splitlines()[-1]
-
-
 def test_too_short_a_lane_drive_is_said(tmp_path):
     session = tmp_path / "short.mcap"
     quietly("run", "--sim", "--fast", "--path", "line", "--duration", 3, "--record", session)
@@ -185,6 +172,18 @@ def four(tmp_path_factory):
     car = DEFAULT_CAR._replace(steer_delay=DEFAULT_CAR.steer_delay + DELAY)
     rows = make_noisy_rows(car, 26.0, 2.1)
     return [import_log(folder, rows[i * 650 : (i + 1) * 650], f"run{i}") for i in range(4)]
+
+
+def test_the_prediction_stands_before_a_reserved_session_is_opened(four, tmp_path, capsys):
+    broken, told = tmp_path / "broken.mcap", tmp_path / "prediction.json"
+    broken.write_bytes(b"nothing")
+    words = ["diagnose", str(four[0]), "--held-out", str(broken), "--prediction", str(told),
+             "--no-pairs", "--no-closed-loop", "--only", "steer_delay", "--json"]  # fmt: skip
+    assert run_cli(words) in (3, 4)
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert hashlib.sha256(told.read_bytes()).hexdigest()[:16] in said.err
+    assert "broken.mcap" in said.err.splitlines()[-1]
 
 
 def test_named_files_are_held_out_even_if_they_are_given_twice(four):

@@ -1,8 +1,8 @@
 """Every command line of README and docs is run, or at least read by the parser that it is for.
 
 `kind_of` sorts them: run as they stand, run against simulated hardware, parsed, or mere names. Of
-lines that differ only in values, or by options left out, the longest is run against hardware and
-the others are planned: parsed, their addresses read, path and controller made.
+drives that differ only in values, or by options left out, the longest is driven and the others
+are planned: parsed, their addresses read, path and controller made.
 """
 
 import argparse
@@ -99,11 +99,11 @@ def workplace(tmp_path, monkeypatch, drive_fast, driven):
 
 
 def shortened(arguments):
-    """Drives of at most 3 s: the pages' lengths are for people."""
+    """Drives of at most 3 s, and a second of `rtcheck`: the pages' lengths are for people."""
     return [
         "3" if before == "--duration" and float(word) > 3 else word
         for before, word in zip(["", *arguments], arguments, strict=False)
-    ]
+    ] + ["--seconds", "1"] * (arguments[0] == "rtcheck")
 
 
 def kind_of(command):
@@ -117,36 +117,6 @@ def kind_of(command):
         return "parsed"
     live = arguments[0] in ("sim", "probe") or (arguments[0] == "run" and "--fast" not in arguments)
     return "hardware" if live or HARDWARE.search(command) else "run"
-
-
-def test_pages_hold_commands():
-    kinds = [kind_of(param.values[0]) for param in command_lines()]
-    assert len(kinds) > 30
-    assert {"run", "hardware", "parsed"} <= set(kinds)
-
-
-@pytest.mark.parametrize("command", command_lines())
-def test_every_command_line_is_understood(command):
-    arguments = arguments_of(command)
-    assert arguments[0] in COMMANDS, command
-    if kind_of(command) != "prose":
-        parse(arguments)
-
-
-@pytest.mark.parametrize("command", [p for p in command_lines() if kind_of(p.values[0]) == "run"])
-def test_what_needs_no_hardware_runs(command, workplace, capsys):
-    arguments = shortened(arguments_of(command))
-    workplace(arguments)
-    code = run_cli(arguments)
-    out, err = capsys.readouterr()
-    if arguments[:2] == ["rtcheck", "--under-load"] and code == ExitCode.STOPPED:
-        # That this machine does not keep time beside a load is the answer; it must be given.
-        assert "stalled by its host" in out or "too slow" in out
-        assert re.search(r"later than 25 ms, which stops a car: \d+", out)
-    else:
-        assert code == ExitCode.OK, err
-    is_read = ">" not in command  # a file for a shell may be as long as it likes
-    assert not is_read or len(out.splitlines()) < 140
 
 
 def options_of(command):
@@ -165,13 +135,49 @@ def chosen(commands):
     return found
 
 
-HARDWARE_LINES = [p.values[0] for p in command_lines() if kind_of(p.values[0]) == "hardware"]
+def lines_of(kind):
+    return [p.values[0] for p in command_lines() if kind_of(p.values[0]) == kind]
+
+
+HARDWARE_LINES, RUN_LINES = lines_of("hardware"), lines_of("run")
 ELSEWHERE = [c for c in HARDWARE_LINES if re.search("vrpn:|zenoh|ros2", c)]
 """Driven by test_live.py and test_ros.py, with programs beside them that the pages do not show."""
 DRIVEN = chosen([c for c in HARDWARE_LINES if c not in ELSEWHERE])
+FAST = [c for c in RUN_LINES if c.startswith("steerd run ")]
+RUN = [*chosen(FAST), *(c for c in RUN_LINES if c not in FAST)]  # `@last` is one of the first
 
 
-@pytest.mark.parametrize("command", [c for c in HARDWARE_LINES if c not in DRIVEN])
+def test_pages_hold_commands():
+    assert len(command_lines()) > 30
+    assert all((RUN, DRIVEN, lines_of("parsed")))
+
+
+@pytest.mark.parametrize("command", command_lines())
+def test_every_command_line_is_understood(command):
+    arguments = arguments_of(command)
+    assert arguments[0] in COMMANDS, command
+    if kind_of(command) != "prose":
+        parse(arguments)
+
+
+# Of lines that differ in the names of sessions alone, one is run.
+@pytest.mark.parametrize("command", {re.sub(r"\w+\.mcap", "", c): c for c in RUN}.values())
+def test_what_needs_no_hardware_runs(command, workplace, capsys):
+    arguments = shortened(arguments_of(command))
+    workplace(arguments)
+    code = run_cli(arguments)
+    out, err = capsys.readouterr()
+    if arguments[:2] == ["rtcheck", "--under-load"] and code == ExitCode.STOPPED:
+        # That this machine does not keep time beside a load is the answer; it must be given.
+        assert "stalled by its host" in out or "too slow" in out
+        assert re.search(r"later than 25 ms, which stops a car: \d+", out)
+    else:
+        assert code == ExitCode.OK, err
+    is_read = ">" not in command  # a file for a shell may be as long as it likes
+    assert not is_read or len(out.splitlines()) < 140
+
+
+@pytest.mark.parametrize("command", [c for c in HARDWARE_LINES + FAST if c not in DRIVEN + RUN])
 def test_what_is_driven_with_the_same_options_elsewhere_is_planned(command, workplace):
     arguments = arguments_of(command)
     workplace(arguments)

@@ -8,7 +8,6 @@ import pytest
 
 from steerd.car_model.car_file import default_car_path
 from steerd.daemon.analysis.learning import learn_session
-from steerd.daemon.assembly.session_meta import make_metadata
 from steerd.daemon.cli.main import dispatch
 from steerd.daemon.learning.kept import METADATA
 from steerd.daemon.learning.reported import reported_values
@@ -16,6 +15,7 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus.messages import StateMessage
 from steerd.steer_bus.session_read import open_session
 from tests.e2e.conftest import rms
+from tests.replays import copy_session
 
 pytestmark = pytest.mark.slow
 
@@ -47,7 +47,7 @@ def learnt(tmp_path_factory):
     return path
 
 
-def test_a_drive_teaches_the_car(learnt, cli):
+def test_a_drive_teaches_the_car_and_the_same_again_to_the_byte(learnt, cli):
     out = cli("learn", learnt).out
     assert "no change of the car" in out
     bias = re.search(r"steer_bias +([-+.\d]+) ± ([.\d]+) rad", out)
@@ -56,6 +56,13 @@ def test_a_drive_teaches_the_car(learnt, cli):
     reported = re.search(r"in the session: (\d+) of (\d+) the same to the byte", out)
     assert reported[1] == reported[2]
     assert int(reported[2]) >= 30
+    values = json.loads(cli("learn", learnt, "--json").out)
+    reports = values["reports"]
+    assert f"\n{reports['count']} reports, sha256 {reports['sha256'][:16]}\n" in out
+    assert values["schema"] == "steerd.learn/1"
+    assert values["gap"] == {"verdict": "none", "since_s": None, "causes": [], "changes": []}
+    assert reports["count"] >= 30
+    assert values["model"]["steer_bias"]["identifiable"]
 
 
 def test_the_lane_keeper_follows_what_was_learnt_to_its_lane_and_so_does_a_replay(learnt, cli):
@@ -75,36 +82,13 @@ def test_the_lane_keeper_follows_what_was_learnt_to_its_lane_and_so_does_a_repla
     assert after < 0.3 * before
 
 
-def test_a_drive_teaches_the_same_again_to_the_byte(learnt, cli):
-    found, again = (cli("learn", learnt, "--json").out for _ in range(2))
-    assert found == again
-    values = json.loads(found)
-    assert values["schema"] == "steerd.learn/1"
-    assert values["gap"] == {"verdict": "none", "since_s": None, "causes": [], "changes": []}
-    assert values["reports"]["count"] >= 30
-    assert values["model"]["steer_bias"]["identifiable"]
-
-
 # A drive whose learner began with an earlier drive's numbers: its recording gives the same.
 MEMORY = json.dumps({"days": 1.0, "values": {"speed_gain": [1.0007, 0.0004]}})
 
 
-@pytest.fixture(scope="module")
-def remembered(tmp_path_factory):
-    """A drive of which the session says that its learner had a memory."""
-
-    def with_memory(plan):
-        return make_metadata(plan) | {METADATA: {"memory": MEMORY}}
-
-    path = tmp_path_factory.mktemp("memory") / "eight.mcap"
-    line = f"run --sim --fast --duration 30 --speed 1.7 --seed 3 --record {path}"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("steerd.daemon.process.children.make_metadata", with_memory)
-        assert dispatch(line.split()) == 0
-    return path
-
-
-def test_a_recording_gives_the_same_reports_from_the_same_memory(remembered):
+def test_a_recording_gives_the_same_reports_from_the_same_memory(learnt, tmp_path):
+    said = {METADATA: {"memory": MEMORY}}
+    remembered = copy_session(learnt, tmp_path / "eight.mcap", metadata=said)
     seen = learn_session(remembered).reports
     first = {value.name: value for value in reported_values(seen[0])}
     assert seen[0].verdict == "learning"

@@ -4,7 +4,7 @@ import os
 import shlex
 import shutil
 import socket
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -17,6 +17,8 @@ from tests.safety.live import free_endpoint
 SIM = "run --sim --fast --duration 1"
 LIVE = "run --mocap natnet://127.0.0.1/car --port /dev/ttyACM0"
 PORT = "--port /dev/vesc --mocap natnet://10.0.0.2/car"
+ON_PORT = "run --record {tmp}/drive.mcap --mocap natnet://127.0.0.1/car --port"
+MOCAP = "run --record {tmp}/drive.mcap --port {tty} --mocap"
 
 TABLE = [
     # what was perhaps meant
@@ -122,7 +124,7 @@ TABLE = [
     ("sweep {tmp}/sweep.toml --again 9 --record {tmp}/x.mcap", 2, "they are 0 to 3"),
     ("sweep {tmp}/sweep.toml -o {tmp}/none/x.parquet", 3, "there is no folder"),
 ]
-LEARN = [
+SLOW = [
     ("identify {run} --free lenght", 2, "lenght is no parameter"),
     ("identify {run} --free mass.scale", 2, "mass.scale is no parameter"),
     ("identify {run} --fix mass=heavy", 2, "--fix mass=heavy: not a number"),
@@ -155,8 +157,14 @@ LEARN = [
     ("diagnose {run} --json drive.mcap", 2, "that is a session"),
     ("diagnose {run} --report {tmp}/nowhere/gap.html", 3, "nowhere"),
     ("diagnose {run} --report {tmp}", 3, "that is a folder"),
+    (f"{ON_PORT} {{tmp}}/ttyACM9", 3, "ttyACM9"),
+    (f"{ON_PORT} {{tmp}}/notes.csv", 3, "notes.csv"),
+    (f"{MOCAP} motive://127.0.0.1/car", 2, "motive://", "natnet://HOST"),
+    (f"{MOCAP} ros2://pf", 2, "a topic is like ros2:///pf/pose/odom"),
+    (f"{MOCAP} natnet://127.0.0.1", 2, "natnet://127.0.0.1"),
+    (f"{MOCAP} vrpn://no.such.host.invalid/car", 3, "no.such.host.invalid"),
 ]
-"""Of what learns; these load what computes."""
+"""Of what learns, which loads what computes, and of hardware, whose core is a process."""
 
 
 @pytest.fixture(scope="module")
@@ -190,6 +198,15 @@ def full_place(place, log):
     return place
 
 
+@pytest.fixture
+def tty() -> Iterator[str]:
+    """A port that opens."""
+    ours, theirs = os.openpty()
+    yield os.ttyname(theirs)
+    os.close(ours)
+    os.close(theirs)
+
+
 def is_clear(said: str, parts: Sequence[str]) -> None:
     lines = said.strip().splitlines()
     assert "Traceback" not in said
@@ -205,14 +222,14 @@ def content(place: Path) -> list[tuple[Path, int]]:
 
 @pytest.mark.parametrize(("line", "code", "parts"), [
     *((line, code, parts) for line, code, *parts in TABLE),
-    *(pytest.param(line, code, parts, marks=pytest.mark.slow) for line, code, *parts in LEARN),
+    *(pytest.param(line, code, parts, marks=pytest.mark.slow) for line, code, *parts in SLOW),
 ])  # fmt: skip
-def test_a_mistake_is_reported_in_a_line(line, code, parts, full_place, log, cli, monkeypatch):
+def test_a_mistake_is_reported_in_a_line(line, code, parts, full_place, log, tty, cli, monkeypatch):
     monkeypatch.setenv("MPLCONFIGDIR", str(log))
     for name in ("STATE_DIRECTORY", "XDG_CONFIG_HOME"):
         monkeypatch.setenv(name, str(full_place))
     before = content(full_place)
-    places = {"tmp": full_place, "run": full_place / "run.mcap"}
+    places = {"tmp": full_place, "run": full_place / "run.mcap", "tty": tty}
     said = cli(*[word.format(**places) for word in shlex.split(line)], code=code)
     is_clear(said.err, parts)
     assert said.out == ""
@@ -220,28 +237,6 @@ def test_a_mistake_is_reported_in_a_line(line, code, parts, full_place, log, cli
 
 
 # --- those that only the running processes can meet
-@pytest.mark.slow
-@pytest.mark.parametrize(("port", "mocap", "code", "parts"), [
-    ("{tmp}/ttyACM9", "natnet://127.0.0.1/car", 3, ["ttyACM9"]),
-    ("{tmp}/notes.csv", "natnet://127.0.0.1/car", 3, ["notes.csv"]),
-    ("{tty}", "motive://127.0.0.1/car", 2, ["motive://", "natnet://HOST"]),
-    ("{tty}", "ros2://pf", 2, ["a topic is like ros2:///pf/pose/odom"]),
-    ("{tty}", "natnet://127.0.0.1", 2, ["natnet://127.0.0.1"]),
-    ("{tty}", "vrpn://no.such.host.invalid/car", 3, ["no.such.host.invalid"]),
-])  # fmt: skip
-def test_wrong_hardware_is_reported_in_a_line(port, mocap, code, parts, place, steerd):
-    ours, theirs = os.openpty()
-    before = sorted(place.iterdir())
-    argv = ("--port", port.format(tmp=place, tty=os.ttyname(theirs)), "--mocap", mocap)
-    record = ("--record", place / "drive.mcap", "--listen", steerd.endpoint)
-    got, said = steerd.run("run", *argv, *record)
-    os.close(ours)
-    os.close(theirs)
-    assert got == code, said
-    is_clear(said, parts)
-    assert sorted(place.iterdir()) == before
-
-
 @pytest.mark.slow
 def test_a_busy_endpoint_is_told_in_a_line(place, steerd):
     before = sorted(place.iterdir())

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from steerd.car_model.car_file import default_car_path
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session_read import open_session
 from tests.e2e.conftest import replays, rms
@@ -16,7 +17,6 @@ from tests.replays import copy_session
 
 SLOW_STEERING = "--effect steer_delay=0.03 --effect steer_lag=0.03"
 """30 ms beside the servo's own 10 ms; 50 ms + 30 ms of lag."""
-CAR_FILE = Path(__file__).resolve().parents[2] / "config" / "f1tenth.toml"
 
 
 @pytest.mark.parametrize(("line", "bound"), [
@@ -24,9 +24,16 @@ CAR_FILE = Path(__file__).resolve().parents[2] / "config" / "f1tenth.toml"
     ("--path figure8 --speed 1.5 --duration 19", 0.002),
     ("--path figure8 --speed 1.5 --duration 5 --rate 200", 0.0015),
     ("--path line --speed 1.5 --duration 6", 0.001),
+    ("--path circle:radius=2 --speed 1 --duration 6 --car paper.toml", 0.02),
 ])  # fmt: skip
-def test_the_car_keeps_its_lane_and_replays(drive_fast, capsys, line, bound):
-    """The first two go round once after they have settled: 12.6 m, 22.7 m."""
+def test_the_car_keeps_its_lane_and_replays(drive_fast, tmp_path, monkeypatch, capsys, line, bound):
+    """The first two go round once after they have settled: 12.6 m, 22.7 m; the last is the paper's
+    design.
+    """
+    monkeypatch.chdir(tmp_path)
+    text = default_car_path().read_text()
+    assert text.count('design = "lqr" ') == 1
+    Path("paper.toml").write_text(text.replace('design = "lqr" ', 'design = "pole_placement" '))
     driven = drive_fast(line)
     assert not driven.faulted, driven.reason
     assert rms(driven.offsets()) <= bound
@@ -42,17 +49,6 @@ def test_delay_and_slow_servo_leave_the_loop_stable(drive_fast, capsys, path):
     third = len(offsets) // 3
     assert rms(offsets) <= 0.008
     assert rms(offsets[-third:]) <= max(1.5 * rms(offsets[:third]), 0.005)
-    assert replays(driven.session, capsys)
-
-
-def test_the_papers_design_drives(drive_fast, tmp_path, capsys):
-    car = tmp_path / "pole.toml"
-    text = CAR_FILE.read_text()
-    car.write_text(text.replace('design = "lqr" ', 'design = "pole_placement" '))
-    assert car.read_text() != text
-    driven = drive_fast(f"--path circle:radius=2 --speed 1 --duration 6 --car {car}")
-    assert not driven.faulted, driven.reason
-    assert rms(driven.offsets()) <= 0.02
     assert replays(driven.session, capsys)
 
 
