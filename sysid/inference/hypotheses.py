@@ -323,7 +323,7 @@ def _looks(
     space = library.space([*start.space.effects, effect.name])
     own = slice(len(space.centre) - len(effect.parameters), None)
     names = space.chart.free[: own.start]
-    keep = np.array([start.space.chart.free.index(name) for name in names])
+    keep = np.array([start.space.chart.free.index(name) for name in names], int)
     if len(keep) < len(start.z):
         views = [view.take(keep) for view in views]
     base = carry(library.likelihood, space, start)[: own.start]

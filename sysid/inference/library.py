@@ -105,7 +105,7 @@ def linearise(
     own = range(len(z) - len(effect.parameters), len(z))
     # Beyond the effect's bounds, or by a payload, `z` does not hold what the base had moved.
     here, _ = likelihood.predictor.errors(space.chart.parameters(z), start.x)
-    keep = np.array([start.space.chart.free.index(name) for name in space.chart.free[: own.start]])
+    keep = np.array([start.space.chart.free.index(n) for n in space.chart.free[: own.start]], int)
     for i, parameter in zip(own, effect.parameters, strict=True):
         step = 0.1 * parameter.scale
         moved = z.copy()
