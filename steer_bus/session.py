@@ -13,6 +13,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, BinaryIO
 
+from mcap.writer import Writer  # noqa: TID251
+
 from steerd.steer_bus.atomic_file import is_full
 from steerd.steer_bus.container_write import ContainerWriter
 from steerd.steer_bus.fields import schema_text, type_name
@@ -69,7 +71,7 @@ class SessionWriter:
         self._sequences = dict.fromkeys(topics, 0)
         try:
             with self._disk():
-                self._writer = ContainerWriter(self._file, "ros2")
+                self._writer: Writer = ContainerWriter(self._file, "ros2")
                 for name, values in metadata.items():
                     version = {"schema_version": SCHEMA_VERSION} if name == _SESSION else {}
                     self._writer.add_metadata(name, {**version, **values})
@@ -208,7 +210,7 @@ def recover(session: Session, path: Path) -> float:
     return gap_ns * 1e-9
 
 
-def _copy(session: Session, writer: ContainerWriter) -> int:
+def _copy(session: Session, writer: Writer) -> int:
     """Copy definitions, texts and messages; give the longest gap between messages [ns]."""
     contents = session.info()
     for name, values in contents.metadata.items():
@@ -244,7 +246,7 @@ def _create(path: Path, partial: Path) -> BinaryIO:
         raise SessionError("disk", text) from error
 
 
-def _finish(writer: ContainerWriter, file: BinaryIO, partial: Path, path: Path) -> None:
+def _finish(writer: Writer, file: BinaryIO, partial: Path, path: Path) -> None:
     writer.finish()
     file.flush()
     os.fsync(file.fileno())
