@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import floor, isfinite, log10
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import tomlkit
 
@@ -26,10 +26,11 @@ from steerd.daemon.settings.car_edit import Values, edit_document
 from steerd.daemon.settings.config import make_settings
 from steerd.posterior_file import TABLES, encode_posterior
 from steerd.steer_bus.session_read import Session, SessionError
-
-if TYPE_CHECKING:
-    from steerd.sysid.data.dataset import Run
-    from steerd.sysid.estimation.outcome import Outcome
+from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.segments import moving_segments
+from steerd.sysid.estimation.outcome import Outcome
+from steerd.sysid.estimation.preparation import add_command_history
+from steerd.sysid.inference.car_posterior import learn_sections
 
 PUBLISHED = "F1TENTH, published figures"
 """Name of the car file that is installed with steerd; no car that was driven is called so."""
@@ -132,7 +133,7 @@ def _flatten(sections: Mapping[str, Mapping[str, Any]]) -> Values:
 
 
 def identified_values(
-    outcome: "Outcome", base: CarFile, given: Mapping[str, Learned]
+    outcome: Outcome, base: CarFile, given: Mapping[str, Learned]
 ) -> dict[str, Learned]:
     """Updates for the base's file: fitted parameters with error and origin, and what is given."""
     # What a stated wheelbase or mass moved, and nothing fitted, is as it was while fitting.
@@ -158,16 +159,12 @@ def identified_values(
     return updates
 
 
-def learn_known(car: CarFile, runs: "tuple[Run, ...]") -> Mapping[str, Mapping[str, Any]]:
+def learn_known(car: CarFile, runs: tuple[Run, ...]) -> Mapping[str, Mapping[str, Any]]:
     """What drives identify beyond a car's values: the size of noise, the joint covariance.
 
     Other drives of the car are judged by it, cut like these to where the car moves: a standing car
     is quieter. Tables for `with_known`; none where the drives do not identify it.
     """
-    from steerd.sysid.data.segments import moving_segments
-    from steerd.sysid.estimation.preparation import add_command_history
-    from steerd.sysid.inference.car_posterior import learn_sections
-
     try:
         return learn_sections(car, moving_segments(add_command_history(runs, car.model)))
     except (ValueError, FloatingPointError):

@@ -146,9 +146,6 @@ def load_drives(
     """Sessions as drives, one after the other, see `load_drive`.
 
     `advance` hears the share of the files read.
-
-    Raises:
-        SteerdError: one cannot be read, or is not fit for a fit.
     """
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     if len(paths) > FILES:

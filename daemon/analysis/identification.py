@@ -14,7 +14,7 @@ from steerd.daemon.analysis import car_output
 from steerd.daemon.analysis import options as asked
 from steerd.daemon.analysis.drives import Drives, load_drives, without_reserved
 from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
-from steerd.daemon.common.errors import UsageError
+from steerd.daemon.common.errors import UsageError, refusing
 from steerd.daemon.common.screen import shown
 from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.learn import Task, learn
@@ -109,7 +109,6 @@ class Identification(asked.Finding):
         return make_report(self.outcome, [*self._next(written)])
 
     def _next(self, written: Path | None) -> Iterator[Line]:
-        """What to do next."""
         outcome, drives = self.outcome, self.drives
         if any("`--speed wheel`" in note for note in outcome.notes):
             yield Line("next", "the same command with --speed wheel: these values explain a speed "
@@ -193,10 +192,8 @@ def _make_task(
         raise UsageError(f"wheelbase {length:g}: in metres")
     if options.effects != "auto":
         options = replace(options, effects=asked.read_effects(options.effects))
-    try:
+    with refusing(hint="fix one of lf and lr, or neither"):
         model = prep.fit_wheelbase(model, length, [*options.fix])
-    except ValueError as error:
-        raise UsageError(str(error), "fix one of lf and lr, or neither") from None
     if "inertia_z" not in stated:
         model = prep.scale_inertia(model, base.model)
     drives = load_drives(without_reserved(paths, held_out.files, "fit"), options.speed, watch)

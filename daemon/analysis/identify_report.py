@@ -204,7 +204,6 @@ def _sections(outcome: Outcome) -> Iterator[Section]:
 
 
 def _designs(outcome: Outcome) -> Section:
-    """Lane keeping with the parameters before and after."""
     from steerd.sysid.report import design_comparison, identify_figures
 
     truth = {} if outcome.truth is None else {"truth": outcome.truth}

@@ -8,7 +8,7 @@ from typing import Any
 
 from steerd.daemon.analysis.diagnosis import find_base
 from steerd.daemon.common.errors import SteerdError, reading
-from steerd.daemon.common.progress import watched
+from steerd.daemon.common.screen import watched
 from steerd.daemon.learning.feed import NEEDED, Wiring, make_feed, read_memory
 from steerd.daemon.learning.kept import METADATA
 from steerd.daemon.sessions.info import load_session

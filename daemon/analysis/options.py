@@ -27,8 +27,7 @@ from steerd.car_model.car_file import CarFile
 from steerd.car_model.effects import find_effect
 from steerd.daemon.common.errors import UsageError, load_car_file
 from steerd.daemon.common.notebook import notebook_progress, speaking_of_arguments
-from steerd.daemon.common.progress import Step
-from steerd.daemon.common.screen import format_screen
+from steerd.daemon.common.screen import Step, format_screen
 from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
 from steerd.posterior_file import posterior_path
 from steerd.sysid.report.report import Card, Report

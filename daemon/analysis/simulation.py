@@ -86,11 +86,7 @@ def plan_drive(
     external: bool = False,
     rate: float = RunOptions.rate_hz,
 ) -> RunPlan:
-    """A drive as `simulate` describes it; `external`: a function drives, not the lane keeper.
-
-    Raises:
-        SteerdError: an argument cannot be used.
-    """
+    """A drive as `simulate` describes it; `external`: a function drives, not the lane keeper."""
     if not 0.0 < duration <= DURATION_MAX:
         raise UsageError(f"duration {duration:g}: more than 0 s, {DURATION_MAX:g} s at most")
     if not 0.0 < speed < float("inf"):

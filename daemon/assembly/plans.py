@@ -160,7 +160,6 @@ def _make_orbit(
 
 
 def _make_waves(orbit: _Orbit, side: float, pattern: _Pattern) -> Iterator[Segment]:
-    """A pattern on one side's orbit."""
     for seconds, share, top, square in pattern:
         speed = max(share * orbit.fastest, orbit.slowest)
         low = _CHIRP_LOW_HZ if top > 1.0 else top

@@ -70,11 +70,7 @@ def add_sessions(parser: argparse.ArgumentParser) -> None:
 
 
 def pick_session(text: str) -> Path:
-    """The file; one that was not named is shown on standard error.
-
-    Raises:
-        SteerdError: there is none.
-    """
+    """The file, see `find_session`; one that was not named is shown on standard error."""
     from steerd.daemon.sessions.catalogue import find_session
 
     path = find_session(text)
@@ -97,11 +93,7 @@ def split_held_out(text: str) -> list[int | Path]:
 
 
 def check_inputs(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
-    """Refuse files that are not there, a car file first: one holds for all sessions.
-
-    Raises:
-        SteerdError: the first of them.
-    """
+    """Refuse the first file that is not there, a car file first: one holds for all sessions."""
     found = ((getattr(a, "find_missing", None), a.dest) for a in list_actions(parser))
     checks = [(check, dest) for check, dest in found if check is not None]
     for check, dest in sorted(checks, key=lambda each: each[0] is not missing_car):

@@ -112,9 +112,7 @@ def make_session_error(error: "SessionError", hint: str = "") -> SteerdError:
 def reading(name: object, hint: str = "") -> Iterator[None]:
     """The one guard around what reads a file from elsewhere: its content raises one line.
 
-    Args:
-        name: of the file, for people.
-        hint: what to try where the error has no hint of its own.
+    `hint` is what to try where the error has none of its own.
 
     Raises:
         SteerdError: it holds what cannot be read.

@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from steerd.daemon.common.errors import SteerdError, UsageError
-from steerd.daemon.common.progress import Step
+from steerd.daemon.common.screen import Step
 
 if TYPE_CHECKING:
     import pandas

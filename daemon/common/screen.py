@@ -5,11 +5,12 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from html import escape
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TextIO, TypeVar
 
 if TYPE_CHECKING:
     from steerd.sysid.report.report import Line
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 WIDTH = 80  # columns of the narrowest terminal that reports are made for
 NBSP = "\u00a0"  # joins what must stand on one line, a figure and its unit; shown as a space
 _COMMAND = re.compile("`steerd [^`]*`")
+T = TypeVar("T")
 TEXT_MAX = 200  # text from a file is cut after so many characters
 
 
@@ -97,6 +99,17 @@ def print_labelled(label: str, text: str, file: TextIO) -> None:
             print("\n".join(wrap(paragraph, indent if i else label, indent, width)), file=file)
 
 
+WARNINGS_SHOWN = 10
+
+
+def print_warnings(texts: Sequence[str]) -> None:
+    """Print warnings about a session's file on standard error; the command goes on."""
+    for text in texts[:WARNINGS_SHOWN]:
+        print_labelled("warning: ", clean(text), sys.stderr)
+    if len(texts) > WARNINGS_SHOWN:
+        print(f"warning: and {len(texts) - WARNINGS_SHOWN} more", file=sys.stderr)
+
+
 _CONTROLS = dict.fromkeys(
     {*range(32), *range(127, 160), *range(0x202A, 0x202F), *range(0x2066, 0x206A)} - {9, 10}, "?"
 )
@@ -175,9 +188,6 @@ def _lay_out(line: "Line", short: bool) -> list[str]:
     return [*rows[: _ROWS - 1], f"{rows[_ROWS - 1][: WIDTH - 2]} …"]
 
 
-T = TypeVar("T")
-
-
 def shown(cls: type[T]) -> type[T]:
     """A class whose `str` is its screen: `repr` is its verdict or its first line.
 
@@ -223,3 +233,47 @@ def describe_holes(dropped: str, holes: Sequence[tuple[int, int]], start_ns: int
     seconds = sum(last - first for first, last in spans)
     count = "records" if dropped in ("", "0") else f"{dropped} records"
     return f"{count} were dropped within {seconds:.2f} s: {shown}{more}"
+
+
+# -- progress of a long command: a bar on a terminal, nothing elsewhere ----------------------------
+
+Advance = Callable[[float], None]  # called with the amount of work done, in the unit of the total
+
+
+class Step(Protocol):
+    """Called with the amount of work done, and the name of the next step where it has one."""
+
+    def __call__(self, done: float, step: str = "", /) -> None:
+        """Move the bar."""
+
+
+def watched(items: Iterable[T], advance: Callable[[int], None], every: int = 500) -> Iterator[T]:
+    """The items as they are; `advance` is called with their number at each of `every`."""
+    for count, item in enumerate(items):
+        if count % every == 0:
+            advance(count)
+        yield item
+
+
+@contextmanager
+def show_progress(label: str, total: float, *, even: bool = False) -> Iterator[Step]:
+    """A bar on standard error if that is a terminal; work at an `even` rate shows the time left."""
+    if not sys.stderr.isatty():
+        yield lambda done, step="", /: None
+        return
+    from rich import progress as bars
+    from rich.console import Console
+
+    text = bars.TextColumn("{task.description}")
+    # The spinner and the elapsed time move during a long step that reports no share of its own.
+    columns = bars.SpinnerColumn("line"), text, bars.BarColumn(), bars.TaskProgressColumn()
+    times = (bars.TimeElapsedColumn(), bars.TextColumn("left"), bars.TimeRemainingColumn())
+    shown = (*columns, *(times if even else times[:1]))
+    console = Console(file=raw(sys.stderr))
+    with bars.Progress(*shown, console=console, transient=True) as progress:
+        task = progress.add_task(label, total=total)
+
+        def move(done: float, step: str = "", /) -> None:
+            progress.update(task, completed=done, description=f"{label}: {step}" if step else None)
+
+        yield move

@@ -34,10 +34,6 @@ _REMEMBERED = 10_000  # digests kept, the latest ones: 650 kB
 def write_output(path: Path, text: str | bytes) -> Path | None:
     """Write a result, whole or not at all; keep what is there if steerd did not write it.
 
-    Args:
-        path: the file; it may exist.
-        text: its new content.
-
     Returns:
         Where the old content is now, or None: there was none, it was the same, or a page or a
         table of steerd's.

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
-from steerd.daemon.common.progress import Advance
+from steerd.daemon.common.screen import Advance
 from steerd.daemon.imports.import_map import ImportMap
 from steerd.daemon.imports.import_session import ImportReport, MessageMaker, Sample, write_import
 from steerd.steer_bus import standard
@@ -123,8 +123,6 @@ def propose_bag(source: Path) -> dict[str, dict[str, Any]]:
 
 
 def _open(source: Path) -> "AnyReader":
-    if not source.exists():
-        raise SteerdError(f"{source} does not exist", "", ExitCode.UNREADABLE)
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -190,7 +188,6 @@ def _choose_topics(
 
 
 def _find_topics(types: Mapping[str, str], role: str) -> list[str]:
-    """Topics of the types that a role may have."""
     return [topic for topic, kind in sorted(types.items()) if kind in BAG_ROLES[role].types]
 
 

@@ -17,7 +17,7 @@ from typing import Any, NoReturn, TextIO
 
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.packaged import EXAMPLE_MAP
-from steerd.daemon.common.progress import Advance
+from steerd.daemon.common.screen import Advance
 from steerd.daemon.imports.import_map import NS, ColumnSpec, ImportMap
 from steerd.daemon.imports.import_session import ImportReport, MessageMaker, Sample, write_import
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, THROTTLE, VESC, WHEEL, Topic
@@ -37,8 +37,7 @@ def open_table(source: Path) -> TextIO:
     """
     with refusing(f"{source} cannot be read: "):
         if not source.is_file():
-            what = "is not a file" if source.exists() else "does not exist"
-            raise SteerdError(f"{source} {what}", "name a csv file", ExitCode.UNREADABLE)
+            raise SteerdError(f"{source} is not a file", "name a csv file", ExitCode.UNREADABLE)
         if not source.stat().st_size:
             raise SteerdError(f"{source} is empty", "", ExitCode.UNREADABLE)
         return source.open(encoding="utf-8-sig", newline="")
@@ -73,9 +72,7 @@ class CsvTable:
     ) -> Iterator[dict[str, float]]:
         """The quantities that have a value in a row, of rows that hold any; scaled.
 
-        Args:
-            columns: quantity to column.
-            advance: called with the bytes read so far.
+        `advance` is called with the bytes read so far.
 
         Raises:
             SteerdError: a column is missing or a cell is no number; the message says which.
@@ -112,11 +109,7 @@ class CsvTable:
         return number
 
     def fail(self, what: str, hint: str = "", column: str = "") -> NoReturn:
-        """Refuse the row that was read last, or its cell in a column.
-
-        Raises:
-            SteerdError: always.
-        """
+        """Refuse the row that was read last, or its cell in a column."""
         at = f", column {column!r}" if column else ""
         raise SteerdError(f"{self.name} row {self.row}{at}: {what}", hint)
 
@@ -189,17 +182,12 @@ _INT32_MAX = (1 << 31) - 1  # largest UNIX time [s] and largest ERPM of a messag
 
 
 def import_csv(source: Path, the_map: ImportMap, out: Path, advance: Advance) -> ImportReport:
-    """Turn a csv file into a session.
+    """Turn a csv file into a session; nothing is left of that after an error.
 
-    Args:
-        source: the csv file; its delimiter is detected.
-        the_map: one with `[columns]`.
-        out: the session to write; nothing is left of it after an error.
-        advance: called with the bytes read so far.
+    `advance` is called with the bytes read so far.
 
     Raises:
-        SteerdError: something is wrong with the map, the file or the output; the message says
-            where.
+        SteerdError: something is wrong with the map, the file or the output; it says where.
     """
     if not the_map.columns:
         hint = f"copy {EXAMPLE_MAP} and name your columns"

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 from steerd.daemon.analysis.options import Reported
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.notebook import make_frame, notebook_progress
-from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.row_file import Row, RowFile
+from steerd.daemon.common.screen import show_progress
 from steerd.daemon.common.written import check_outputs, write_outputs
 from steerd.daemon.many.units import Done, Where, Work, run_units
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from steerd.daemon.assembly.build import RunPlan, make_world_config
 from steerd.daemon.assembly.session_meta import session_path
 from steerd.daemon.common.errors import ExitCode, SteerdError, make_session_error, reading
-from steerd.daemon.common.progress import show_progress
+from steerd.daemon.common.screen import show_progress
 from steerd.daemon.ipc.pipe_records import PipeRecord, is_learnt_from
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run

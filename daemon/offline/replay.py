@@ -12,7 +12,7 @@ from typing import Any
 from steerd.daemon.assembly.build import RunId, RunPlan, make_plan
 from steerd.daemon.assembly.session_meta import read_session_car, recorded_path
 from steerd.daemon.common.errors import ExitCode, SteerdError, reading
-from steerd.daemon.common.progress import watched
+from steerd.daemon.common.screen import watched
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.loop import REQUESTS, Loop
 from steerd.daemon.loop.outgoing import make_actuation, read_actuation

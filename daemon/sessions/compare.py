@@ -172,7 +172,6 @@ def _lane_rows(drives: Sequence[LaneSession]) -> Iterator[list[str]]:
 
 
 def _plot_tracks(axis: Axes, drives: Sequence[LaneSession]) -> None:
-    """Tracks over the lane."""
     lane = drives[0].lane
     x, y = ([*v, v[0]] if lane.closed else [*v] for v in (lane.x, lane.y))
     axis.plot(x, y, color=FAINT, lw=1.0, ls="--")

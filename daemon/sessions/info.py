@@ -156,11 +156,7 @@ def seconds_since(start_ns: int, ns: Any) -> Array:
 
 
 def load_recording(path: Path) -> Recording:
-    """Open a session for a command and read its tables.
-
-    Raises:
-        SteerdError: it cannot be opened, or holds nothing at all.
-    """
+    """Open a session for a command, see `load_session`, and read its tables."""
     return read_recording(load_session(path))
 
 

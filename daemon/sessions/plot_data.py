@@ -84,11 +84,7 @@ def make_field_curve(
 
 
 def make_drawing(read: Recording) -> Drawing:
-    """The panels of a session.
-
-    Raises:
-        SteerdError: it says what makes no sense.
-    """
+    """The panels of a session; a SteerdError where it says what makes no sense."""
     with reading(read.info.path):
         track = read.track
         found = [*_list_panels(read)]

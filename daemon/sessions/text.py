@@ -1,14 +1,12 @@
 """A session's report as text for one screen, and as JSON."""
 
-import sys
-from collections.abc import Sequence
 from dataclasses import fields
 from datetime import UTC, datetime
 from math import degrees
 from typing import Any
 
 from steerd.daemon.assembly.session_meta import is_virtual
-from steerd.daemon.common.screen import NBSP, WIDTH, clean, cut, join_words, print_labelled, wrap
+from steerd.daemon.common.screen import NBSP, WIDTH, clean, cut, join_words, wrap
 from steerd.daemon.sessions.info import SessionReport, TopicReport
 from steerd.daemon.sessions.motion import SignalRange
 from steerd.steer_bus.topics import split_key
@@ -16,18 +14,9 @@ from steerd.sysid.report.report import Table, finite, format_table
 
 TOPICS_SHOWN = 18
 STATES_SHOWN = 10
-WARNINGS_SHOWN = 10
 EMPTY_SHOWN = 12
 _LABEL = 12
 _NAME_MIN, _NAME_MAX, _TYPE_MIN = 12, 24, 6  # columns of the topic table [characters]
-
-
-def print_warnings(texts: Sequence[str]) -> None:
-    """Print warnings about a session's file on standard error; the command goes on."""
-    for text in texts[:WARNINGS_SHOWN]:
-        print_labelled("warning: ", clean(text), sys.stderr)
-    if len(texts) > WARNINGS_SHOWN:
-        print(f"warning: and {len(texts) - WARNINGS_SHOWN} more", file=sys.stderr)
 
 
 def format_report(report: SessionReport) -> str:

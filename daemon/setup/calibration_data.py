@@ -71,11 +71,7 @@ def load_recorded(path: Path) -> Recorded:
 
 
 def load_movement(path: Path) -> tuple[Movement, int]:
-    """A session's accepted poses for `check_movement`, and how many were rejected.
-
-    Raises:
-        SteerdError: it cannot be read, or lacks poses.
-    """
+    """A session's accepted poses, see `load_recorded`, and how many were rejected."""
     r = load_recorded(path)
     columns = (r.poses[name] for name in ("x", "y", "yaw", "height", "tilt"))
     t = (r.poses["t_valid_ns"] - r.poses["t_valid_ns"][0]) * 1e-9

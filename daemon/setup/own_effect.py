@@ -6,12 +6,12 @@ compiled library, which holds it from then on like any other effect.
 
 # Why: docs/decisions/vehicle-model.md#d120
 
-import importlib.util
 import subprocess
 import sys
 from importlib import import_module
 from math import sin
 from pathlib import Path
+from runpy import run_path
 
 from steerd.car_model import effects
 from steerd.car_model.effect import Effect
@@ -20,7 +20,7 @@ from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import Command, State
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import SteerdError, UsageError
 from steerd.daemon.common.written import write_whole
 
 _FOLDER = Path(effects.__file__).parent
@@ -70,15 +70,13 @@ def _place(source: Path) -> Path:
 
 
 def _read(source: Path) -> list[Effect]:
-    spec = importlib.util.spec_from_file_location("own_effect", source)
-    if spec is None or spec.loader is None:
-        raise SteerdError(f"{source} is no Python file", "name it my_effect.py", ExitCode.USAGE)
-    module = importlib.util.module_from_spec(spec)
+    if source.suffix != ".py":
+        raise UsageError(f"{source} is no Python file", "name it my_effect.py")
     try:
-        spec.loader.exec_module(module)
+        defined = run_path(str(source))
     except Exception as error:  # whatever somebody's own code raises
         raise SteerdError(f"{source}: {type(error).__name__}: {error}") from error
-    found = [value for value in vars(module).values() if isinstance(value, Effect)]
+    found = [value for value in defined.values() if isinstance(value, Effect)]
     if not found:
         raise SteerdError(f"{source} defines no Effect", "EFFECT = Effect(name=…, …)")
     return found

@@ -133,11 +133,7 @@ class Watch:
 
 
 def watch_car(bus: ZenohBus, name: str | None, seconds: float | None, *, operate: bool) -> None:
-    """Show the named car, or the only one, for so long [s]: on a terminal with keys, else in lines.
-
-    Raises:
-        SteerdError: see `find_car`.
-    """
+    """Show a car, see `find_car`, for so long [s]: on a terminal with keys, else in lines."""
     car, clock = find_car(bus, name), MonotonicClock()
     watch = Watch(Dashboard(f"steerd watch · {car}"))
     received = bus.subscribe(make_key(car, "*"), DEPTH)

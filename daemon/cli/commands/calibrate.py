@@ -2,12 +2,12 @@
 
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
 from pathlib import Path
 
 from steerd.car_model.car_file import CarFile
 from steerd.daemon.cli.arguments import missing_car, missing_session, option
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, load_car_file
+from steerd.daemon.common.screen import print_warnings
 from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
 from steerd.daemon.settings.car_edit import Values, edit_car
 from steerd.daemon.settings.config import load_settings
@@ -69,7 +69,8 @@ def _from_session(path: Path) -> tuple[CarFile, Scaling]:
     file = r.settings.file
     found = steering.calibrate_steering(track, steer, file.car)
     scaling = steering.servo_scaling(found, r.settings.scaling)
-    print_found(steering.describe_steering(found, scaling), found.warnings)
+    print(*steering.describe_steering(found, scaling), sep="\n")
+    print_warnings(found.warnings)
     return file, scaling
 
 
@@ -106,7 +107,8 @@ def mocap(args: Namespace) -> int | None:
     r = load_recorded(args.session)
     file, gain = r.settings.file, r.settings.scaling.erpm_gain
     found = mount.calibrate_mount(make_drive(r), file.car, DRIVES.get(file.chassis.drive, 0.0))
-    print_found(mount.describe_mount(found, r.settings.ingest.frame, gain), found.warnings)
+    print(*mount.describe_mount(found, r.settings.ingest.frame, gain), sep="\n")
+    print_warnings(found.warnings)
     then = "steerd run --sim --car {}\n         (on the car: --port and --mocap for --sim)"
     finish(args, file, mount.mount_values(found, gain), then)
     return None
@@ -130,14 +132,6 @@ def _check(args: Namespace) -> int:
         if not check.ok:
             print(f"      try: {check.fix}")
     return ExitCode.OK if all(check.ok for check in checks) else ExitCode.STOPPED
-
-
-def print_found(lines: Sequence[str], warnings: Sequence[str]) -> None:
-    """Show what a calibration found."""
-    from steerd.daemon.sessions.text import print_warnings
-
-    print("\n".join(lines))
-    print_warnings(warnings)
 
 
 def finish(args: Namespace, own: CarFile, values: Values, then: str) -> None:

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from steerd.daemon.cli.arguments import missing_car, missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, load_car_file
-from steerd.daemon.common.progress import show_progress
-from steerd.daemon.common.screen import NBSP, clean, wrap
+from steerd.daemon.common.screen import NBSP, clean, show_progress, wrap
 from steerd.daemon.common.written import check_outputs, write_outputs
 from steerd.daemon.settings import car_edit
 from steerd.daemon.settings.config import Settings, load_settings
@@ -53,7 +52,6 @@ def config(args: Namespace) -> None:
 
 
 def _describe(settings: Settings) -> list[str]:
-    """Summary of a car file, to compare with the car."""
     car, scaling, limits = settings.file.car, settings.scaling, settings.limits
     right, left = steer_limits(scaling)
     effects = ", ".join(effect.name for effect in settings.file.effects) or "none"

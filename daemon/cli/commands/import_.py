@@ -17,17 +17,16 @@ from msgspec import structs
 from steerd.daemon.cli.arguments import missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, refusing
 from steerd.daemon.common.packaged import EXAMPLE_MAP
-from steerd.daemon.common.progress import show_progress
-from steerd.daemon.common.screen import print_labelled, wrap
+from steerd.daemon.common.screen import print_labelled, print_warnings, show_progress, wrap
+from steerd.daemon.imports.import_map import ImportMap, VescSpec, load_map, parse_map
 
 if TYPE_CHECKING:
-    from steerd.daemon.imports.import_map import ImportMap
     from steerd.daemon.imports.import_session import ImportReport
     from steerd.daemon.imports.propose import Proposal
     from steerd.daemon.sessions.info import SessionReport
     from steerd.daemon.sessions.motion import Track
 
-Trial = Callable[["ImportMap", Path], object]  # imports by a map into a session file
+Trial = Callable[[ImportMap, Path], object]  # imports by a map into a session file
 _KINDS = ("csv", "bag")
 _BAG_SUFFIXES = (".bag", ".db3", ".mcap", ".zstd")
 _LEFT, _MM = "must be left positive", "millimetres"
@@ -64,8 +63,6 @@ def import_log(args: Namespace) -> None:
     if kind == "csv" and the_map is None:
         hint = f"`steerd import --ask {source}` proposes one; {EXAMPLE_MAP} is one"
         raise UsageError("a csv file needs a map of its columns, --map", hint)
-    from steerd.daemon.imports.import_map import ImportMap, load_map
-
     read = load_map(the_map) if the_map else ImportMap()
     _print_result(_import(args, kind, source, read, out), args, the_map)
 
@@ -84,10 +81,8 @@ def _read_words(words: list[str]) -> tuple[str, Path]:
 
 
 def _import(
-    args: Namespace, kind: str, source: Path, the_map: "ImportMap", out: Path
+    args: Namespace, kind: str, source: Path, the_map: ImportMap, out: Path
 ) -> "ImportReport":
-    from steerd.daemon.imports.import_map import VescSpec
-
     if args.rigid is not None:
         the_map = replace(the_map, rigid=args.rigid)
     if args.erpm_gain is not None:
@@ -107,7 +102,7 @@ def _import(
 
 def _print_result(made: "ImportReport", args: Namespace, the_map: Path | None) -> None:
     from steerd.daemon.sessions.info import load_recording, make_session_report
-    from steerd.daemon.sessions.text import format_report, print_warnings
+    from steerd.daemon.sessions.text import format_report
 
     report = make_session_report(load_recording(made.path))
     print(format_report(report))
@@ -206,7 +201,6 @@ def _try(
     proposal: "Proposal", source: Path, trial: Trial
 ) -> tuple[list[str], tuple[str, ...], float | None]:
     """What the map makes of the log: in words, what looks wrong, ERPM per m/s by the poses."""
-    from steerd.daemon.imports.import_map import parse_map
     from steerd.daemon.imports.propose import format_map
     from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.motion import find_erpm_gain, round_gain

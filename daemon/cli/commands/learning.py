@@ -15,8 +15,7 @@ from steerd.daemon.analysis.options import Finding, Watch, read_arguments
 from steerd.daemon.cli import arguments
 from steerd.daemon.cli.arguments import missing_car, missing_session, option, split_list
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
-from steerd.daemon.common.progress import show_progress
-from steerd.daemon.common.screen import print_labelled, wrap
+from steerd.daemon.common.screen import print_labelled, print_warnings, show_progress, wrap
 from steerd.daemon.common.written import Write, writing
 from steerd.posterior_file import posterior_path
 
@@ -65,7 +64,6 @@ def identify(args: Namespace) -> int:
     """
     from steerd.daemon.analysis.identification import IdentifyOptions, run_identify
     from steerd.daemon.assembly.build import report_refusal
-    from steerd.daemon.sessions.text import print_warnings
 
     with writing(list_outputs(args), announced=True) as write:
         paths = [*map(arguments.pick_session, args.sessions)]
@@ -135,7 +133,6 @@ def diagnose(args: Namespace) -> None:
     """
     from steerd.daemon.analysis.diagnosis import DRIVEN, DiagnoseOptions, run_diagnose
     from steerd.daemon.assembly.build import report_refusal
-    from steerd.daemon.sessions.text import print_warnings
 
     if args.json is not None and args.json.suffix == ".mcap":
         what = f"--json {args.json}: that is a session"

@@ -2,16 +2,12 @@
 
 from argparse import ArgumentParser, Namespace, _ArgumentGroup
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.arguments import missing_file, option
 from steerd.daemon.common.errors import UsageError
 from steerd.daemon.common.packaged import EXAMPLES
 from steerd.daemon.common.screen import NBSP, wrap
 from steerd.daemon.common.written import check_outputs
-
-if TYPE_CHECKING:
-    from steerd.daemon.many.sweep.plan import SweepPlan
 
 
 def sweep_arguments(parser: ArgumentParser) -> None:
@@ -46,19 +42,13 @@ def sweep(args: Namespace) -> None:
         raise UsageError("--again and --record go together", "name both")
     from steerd.daemon.many.job import do_in_terminal
     from steerd.daemon.many.sweep.plan import load_sweep
-    from steerd.daemon.many.sweep.run import make_job
+    from steerd.daemon.many.sweep.run import find_case, make_job, prepare
     from steerd.daemon.many.units import Where
 
     plan = load_sweep(args.file)
-    if args.again is not None:
-        _drive_again(plan, args)
-    else:
+    if args.again is None:
         do_in_terminal(make_job(plan), Where(args.jobs), args.output, args.page)
-
-
-def _drive_again(plan: "SweepPlan", args: Namespace) -> None:
-    """Drive one case of the sweep and record it."""
-    from steerd.daemon.many.sweep.run import find_case, prepare
+        return
     from steerd.daemon.offline.fast import check_driven, record_virtual
     from steerd.daemon.offline.virtual import drive
     from steerd.sim_hw.world import World

@@ -141,7 +141,6 @@ def _list_conflicts(args: Namespace) -> Iterator[tuple[bool, str, str]]:
 
 
 def _find_endpoint(args: Namespace) -> str:
-    """Of a lab's car."""
     from steerd.daemon.process.bus_operator import read_lab
 
     lab = read_lab(args.lab)

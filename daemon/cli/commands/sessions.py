@@ -8,7 +8,7 @@ from pathlib import Path
 from steerd.daemon.cli import arguments
 from steerd.daemon.cli.arguments import missing_partial, missing_session, option, pick_session
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, reading
-from steerd.daemon.common.progress import show_progress
+from steerd.daemon.common.screen import print_warnings, show_progress
 from steerd.daemon.common.written import check_outputs, write_outputs
 
 SHOWN = 40  # drives that are listed unless all are asked for
@@ -108,7 +108,7 @@ def info(args: Namespace) -> None:
     steerd info SESSION.mcap --json
     """
     from steerd.daemon.sessions.info import load_recording, make_session_report
-    from steerd.daemon.sessions.text import format_report, make_json, print_warnings
+    from steerd.daemon.sessions.text import format_report, make_json
 
     report = make_session_report(load_recording(pick_session(args.session)))
     if args.json:
@@ -159,7 +159,6 @@ def _draw(path: Path, suffix: str) -> bytes:
     from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.plot_data import make_drawing
     from steerd.daemon.sessions.plot_page import make_csv, make_page
-    from steerd.daemon.sessions.text import print_warnings
 
     read = load_recording(path)
     report = make_session_report(read)
@@ -182,7 +181,6 @@ def replay(args: Namespace) -> int:
     """Feed a recorded session through the loop and report commands that differ."""
     from steerd.daemon.offline.replay import check_same, describe_difference, replay
     from steerd.daemon.sessions.info import load_session
-    from steerd.daemon.sessions.text import print_warnings
 
     path = pick_session(args.session)
     session = load_session(path)
@@ -215,7 +213,6 @@ def recover(args: Namespace) -> None:
     """
     from steerd.daemon.imports.import_session import check_output
     from steerd.daemon.sessions.info import load_session
-    from steerd.daemon.sessions.text import print_warnings
     from steerd.steer_bus.session import recover
 
     partial = args.session.with_name(args.session.name + ".partial")

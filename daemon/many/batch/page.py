@@ -84,7 +84,6 @@ def _cards(rows: Rows, series: Sequence[Series], changes: Sequence[Change]) -> I
 
 
 def _count_cars(rows: Rows) -> Table:
-    """Each car's sessions, failures and days."""
     cars: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
         cars.setdefault(str(row.get("car") or "?"), []).append(row)

@@ -97,7 +97,6 @@ def _moves(found: Summary) -> Table:
 
 
 def _describe(choice: Choice) -> str:
-    """A list or a distribution in a few words."""
     if isinstance(choice, Distribution):
         return str(choice)
     shown = ", ".join(clean(str(value), 24) for value in choice[:_VALUES])

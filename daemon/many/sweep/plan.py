@@ -330,7 +330,6 @@ def _parse_seeds(given: Any) -> tuple[int, ...]:
 
 
 def _parse_choice(quantity: Quantity, given: Any) -> Choice:
-    """A list of values, or a distribution."""
     if isinstance(given, Mapping):
         if quantity.is_text:
             raise ValueError(f"{quantity.name} is a text: give a list")

@@ -91,11 +91,7 @@ def sweep(
 
 
 def make_job(plan: SweepPlan) -> Job[Sweep]:
-    """A sweep as work for `do_job`.
-
-    Raises:
-        SteerdError: a distribution never yields what its quantity may be.
-    """
+    """A sweep as work for `do_job`; raises as `list_cases`."""
     cases = {str(case.number): case for case in plans.list_cases(plan)}
 
     def make_row(done: Done) -> Row:
@@ -181,7 +177,6 @@ def prepare(plan: SweepPlan, case: DriveCase) -> tuple[RunPlan, WorldConfig]:
 
 
 def _vary_instruments(config: WorldConfig, values: Mapping[str, float | str]) -> WorldConfig:
-    """The simulated hardware with the drawn noise and delays."""
     for quantity in (each for each in plans.INSTRUMENTS if each.name in values):
         name, (first, *others) = quantity.name.partition(".")[0], quantity.fields
         device, value = getattr(config, name), float(values[quantity.name])

@@ -7,15 +7,14 @@ from functools import cached_property
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from steerd.daemon.common.screen import clean, wrap
 from steerd.daemon.many.job import FAILED, Column, Found, Rows
 from steerd.daemon.many.sweep.plan import DRIVEN, REFUSED, STOPPED, SweepPlan
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.report.report import SCALES, Table, format_table
 
-Array = NDArray[np.float64]
 QUANTILES = (0.05, 0.5, 0.95)
 _Z = 1.96  # standard deviations of a 95 % interval
 STOPS = "stopped"  # the measure that says whether a watchdog stopped the drive

@@ -119,7 +119,7 @@ def _straight(speed) -> Run:
 def test_noise_is_learnt_where_the_car_moves(monkeypatch):
     seen = []
     monkeypatch.setattr(
-        "steerd.sysid.inference.car_posterior.learn_sections",
+        "steerd.daemon.analysis.car_output.learn_sections",
         lambda car, runs: (seen.extend(runs), {"noise": noise_section(NOISE)})[1],
     )
     assert learn_known(BASE, (_straight(np.full(2000, 0.5 * SPEED_MIN)),)) == {}

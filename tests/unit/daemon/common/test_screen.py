@@ -9,11 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerd.daemon.common import progress
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.notebook import notebook_progress, speaking_of_arguments
-from steerd.daemon.common.progress import show_progress
-from steerd.daemon.common.screen import clean, join_words, shown, wrap, wrap_command
+from steerd.daemon.common.screen import (
+    clean,
+    join_words,
+    show_progress,
+    shown,
+    watched,
+    wrap,
+    wrap_command,
+)
 
 
 @settings(derandomize=True, deadline=None)
@@ -61,7 +67,7 @@ def test_the_step_stands_beside_the_bar(monkeypatch):
 
 def test_items_are_counted_as_they_pass():
     seen: list[int] = []
-    assert list(progress.watched("abcdefg", seen.append, every=3)) == list("abcdefg")
+    assert list(watched("abcdefg", seen.append, every=3)) == list("abcdefg")
     assert seen == [0, 3, 6]
 
 

@@ -5,10 +5,11 @@ import math
 
 import pytest
 
+from steerd.daemon.common.screen import WARNINGS_SHOWN, print_warnings
 from steerd.daemon.imports.import_session import MessageMaker
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import load_recording, make_session_report
-from steerd.daemon.sessions.text import WARNINGS_SHOWN, format_report, make_json, print_warnings
+from steerd.daemon.sessions.text import format_report, make_json
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import BODY, Transition, make_header
 from steerd.steer_bus.session import SessionWriter
