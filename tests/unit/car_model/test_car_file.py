@@ -63,9 +63,8 @@ def test_effects_and_notes_are_read():
     assert file.source == {"lf": "tape", "steer_backlash.play": "diagnose"}
 
 
-@pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.name)
-def test_every_parameter_must_be_there_within_bounds(parameter):
-    p = next(q for q in PARAMETERS if q is parameter)
+@pytest.mark.parametrize("p", PARAMETERS, ids=lambda p: p.name)
+def test_every_parameter_must_be_there_within_bounds(p):
     if p.name != "c_x":  # which older files and sessions have not
         assert error(edited(f"{p.name} ", "")).where == f"car.{p.name}"
     for value in (p.high * 1.01 + 0.01, p.low - 0.01 - abs(p.low), float("nan"), float("inf")):

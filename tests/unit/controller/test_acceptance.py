@@ -101,8 +101,7 @@ def test_each_step_comes_nearer_and_ends_there():
     assert taken > 3, "slowly"
 
 
-def test_what_is_not_followed_stays_the_files():
-    held = standard()
+def test_what_is_not_followed_stays_the_files(held):
     made = learnt.follow_learnt(held.file, design_for(held, steer_gain=0.98, steer_delay=0.016))
     same = set(DEFAULT_CAR._fields) - {"steer_gain", "steer_delay"}
     assert all(getattr(made.car, name) == getattr(held.file.car, name) for name in same)

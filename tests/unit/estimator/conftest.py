@@ -5,6 +5,7 @@ commands at 200 Hz, wheel speed at 200 Hz, poses at 100 Hz that arrive 6 ms afte
 """
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -26,6 +27,7 @@ H_NS = 2_500_000
 TICK_NS = 5_000_000
 EPOCH_NS = 1_000_000_000_000
 POSE_LATENCY_NS = 6_000_000
+POSE_LOSS = 0.05  # share of the poses
 
 Plan = Callable[[float], Command[float]]
 
@@ -52,8 +54,7 @@ def disturb(state: State[float], config: FilterConfig, h: float, noise: np.ndarr
 def simulated_drive(
     seed: int, seconds: float, plan: Plan = slalom, car: Car[float] = DEFAULT_CAR,
     config: FilterConfig | None = None, *, first: State[float] | None = None,
-    pose_loss: float = 0.05, gyro: bool = False, add_noise: bool = True,
-    chassis: Chassis = SINGLE_TRACK,
+    gyro: bool = False, chassis: Chassis = SINGLE_TRACK,
 ) -> Drive:  # fmt: skip
     config = config or FilterConfig()
     rng = np.random.default_rng(seed)
@@ -69,14 +70,12 @@ def simulated_drive(
         if (t_ns - EPOCH_NS) % TICK_NS == 0:
             truth[t_ns] = state
             commands.append((t_ns, plan((t_ns - EPOCH_NS) * 1e-9)))
-            arrivals += _readings(rng, car, config, t_ns, state, pose_loss, gyro)
+            arrivals += _readings(rng, car, config, t_ns, state, gyro)
         steering = _sent(plan, t_ns - late_steer)
         driving = _sent(plan, t_ns - late_drive)
-        if add_noise:
-            state = disturb(state, config, 0.5 * h, rng.standard_normal(7))
+        state = disturb(state, config, 0.5 * h, rng.standard_normal(7))
         state = State(*plant.follow(*state, steering.steer, driving.speed, k * h))
-        if add_noise:
-            state = disturb(state, config, 0.5 * h, rng.standard_normal(7))
+        state = disturb(state, config, 0.5 * h, rng.standard_normal(7))
     return Drive(truth, commands, sorted(arrivals, key=lambda pair: pair[0]))
 
 
@@ -86,13 +85,13 @@ def _sent(plan: Plan, t_ns: int) -> Command[float]:
     return plan(tick * TICK_NS * 1e-9)
 
 
-def _readings(rng, car, config, t_ns, state, pose_loss, gyro):
+def _readings(rng, car, config, t_ns, state, gyro):
     n = rng.standard_normal(6)
     wheel = state.speed / car.speed_gain + config.wheel_speed_sd * n[0]
     yield t_ns, make_wheel_speed(t_ns, wheel)
     if gyro:
         yield t_ns, make_gyro(t_ns, state.yaw_rate + config.gyro_sd * n[4])
-    if (t_ns - EPOCH_NS) % (2 * TICK_NS) == 0 and rng.random() >= pose_loss:
+    if (t_ns - EPOCH_NS) % (2 * TICK_NS) == 0 and rng.random() >= POSE_LOSS:
         sd = config.pose_position_sd
         x, y = state.x + sd * n[1], state.y + sd * n[2]
         yaw = math.remainder(state.yaw + config.pose_yaw_sd * n[3], math.tau)
@@ -102,13 +101,11 @@ def _readings(rng, car, config, t_ns, state, pose_loss, gyro):
 def filtered(flt, drive, begin=None):
     """The filter's state at every tick, fed as the daemon feeds it."""
     state = begin or state_filter.FilterState()
-    waiting = iter(drive.arrivals)
-    arrival = next(waiting, None)
+    waiting = deque(drive.arrivals)
     for t_ns, command in drive.commands:
         batch = []
-        while arrival is not None and arrival[0] <= t_ns:
-            batch.append(arrival[1])
-            arrival = next(waiting, None)
+        while waiting and waiting[0][0] <= t_ns:
+            batch.append(waiting.popleft()[1])
         state = state_filter.step(flt, state, t_ns, batch, ((t_ns, command),))
         yield t_ns, state
 

@@ -25,12 +25,12 @@ CAR = DEFAULT_CAR._replace(steer_delay=0.012, drive_delay=0.004)
 drive = Reference(CAR, SINGLE_TRACK, FilterConfig(), {}).drive
 
 
-def random_history(seed: int, count: int = 40, scale: float = 1.0):
+def random_history(seed: int, scale: float = 1.0):
     """Commands every 5 ms about straight on at 1.5 m/s; at full scale they reach every limit."""
     rng = np.random.default_rng(seed)
-    draws = scale * rng.uniform(-1.0, 1.0, (count, 2))
+    draws = scale * rng.uniform(-1.0, 1.0, (40, 2))
     commands = [Command(0.4 * float(a), 1.5 + 1.5 * float(v)) for a, v in draws]
-    return History(tuple(range(0, count * 5 * MS, 5 * MS)), tuple(commands)), commands
+    return History(tuple(range(0, 200 * MS, 5 * MS)), tuple(commands)), commands
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -100,12 +100,12 @@ def test_gate_is_scipys_quantile(degrees, probability):
 CONFIG = FilterConfig()
 
 
-def poses_on_a_curve(seed, speed, yaw, yaw_rate, slip, count=10):
+def poses_on_a_curve(seed, speed, yaw, yaw_rate, slip):
     """Poses at 100 Hz that end at the origin with the given motion."""
     rng = np.random.default_rng(seed)
     out = []
-    for i in range(count):
-        t = (i - count + 1) * 0.01
+    for i in range(10):
+        t = (i - 9) * 0.01
         psi, course = yaw + yaw_rate * t, yaw + slip + 0.5 * yaw_rate * t
         n = rng.standard_normal(3)
         x = speed * t * math.cos(course) + CONFIG.pose_position_sd * n[0]

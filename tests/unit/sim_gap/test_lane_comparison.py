@@ -9,9 +9,9 @@ from steerd.sim_gap.report.gap_report import lane_rows, lane_words
 RATE, LENGTH, SPEED = 100.0, 12.0, 1.5
 
 
-def lane(seconds=40.0, late=0.0, noise=0.0, seed=0, wobble=0.0):
+def lane(seconds=40.0, late=0.0, noise=0.0, wobble=0.0):
     """A drive whose offset follows the lane, some of it late, with a 3 Hz wobble."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     t = np.arange(round(seconds * RATE)) / RATE
     s = SPEED * t % LENGTH
     angle = 2.0 * np.pi * (s - SPEED * late) / LENGTH

@@ -1,7 +1,5 @@
 """Drives whose truth is known: the compiled car driven over excitation plans, with seeded noise."""
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 
@@ -19,15 +17,7 @@ TRUTH = DEFAULT_CAR._replace(
     steer_lag=0.06, speed_gain=1.02, speed_lag=0.12,
 )  # fmt: skip
 """A car that differs from the default in every parameter that is free by default, tyres apart."""
-
-
-class Noise(NamedTuple):
-    position: float = 1e-3
-    yaw: float = 2e-3
-    wheel: float = 0.02
-
-
-ORDINARY = Noise()
+POSE_SD, WHEEL_SD = np.array([1e-3, 1e-3, 2e-3]), 0.02
 
 
 def mixed_commands(seconds: float, seed: int, lateral: float = 5.0) -> Array:
@@ -50,14 +40,13 @@ def mixed_commands(seconds: float, seed: int, lateral: float = 5.0) -> Array:
     return np.column_stack([steer, speed])
 
 
-def simulate_run(model, commands, first, seed, noise=ORDINARY):
+def simulate_run(model, commands, first, seed):
     """A drive of a known car, poses and wheel speed at 200 Hz."""
     count, path = len(commands), march_states(model, commands, first, STEP)
     rng = np.random.default_rng([7, seed])
     t = np.arange(count + 1) * STEP
-    sd = np.array([noise.position, noise.position, noise.yaw])
-    pose = path[:, :3] + rng.normal(size=(count + 1, 3)) * sd
-    wheel = path[:, 3] / model.car.speed_gain + rng.normal(size=count + 1) * noise.wheel
+    pose = path[:, :3] + rng.normal(size=(count + 1, 3)) * POSE_SD
+    wheel = path[:, 3] / model.car.speed_gain + rng.normal(size=count + 1) * WHEEL_SD
     at = t[:-1]
     return make_run(
         f"run {seed}", Signal(at, commands[:, 0]), Signal(at, commands[:, 1]), Signal(t, pose),
@@ -65,13 +54,13 @@ def simulate_run(model, commands, first, seed, noise=ORDINARY):
     )  # fmt: skip
 
 
-def drive(model, seconds, seed, noise=ORDINARY, speed=None):
+def drive(model, seconds, seed, speed=None):
     """A mixed drive from 1.5 m/s straight ahead; all of it at one speed where one is given."""
     first = np.array([0.0, 0.0, 0.0, speed or 1.5, 0.0, 0.0, 0.0])
     commands = mixed_commands(seconds, seed)
     if speed is not None:
         commands[:, 1] = speed
-    return simulate_run(model, commands, first, seed, noise)
+    return simulate_run(model, commands, first, seed)
 
 
 def circle_runs(count: int = 6, seconds: float = 4.0) -> list[Run]:

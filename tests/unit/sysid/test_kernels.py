@@ -100,23 +100,15 @@ def test_sensitivities_are_central_differences(any_model):
     held, count = HeldCommands(commands, H), len(p)
     seeds, dfirst = np.eye(count, count + 7), np.eye(7, count + 7, count)
 
-    def readings(p, first):
-        stations = _stations(kernels, p, held, 2)
-        return compute_readings(kernels, p, seeds, first, dfirst, held, windows, stations)
+    def readings(at):
+        p, stations = at[:count], _stations(kernels, at[:count], held, 2)
+        begun = first + at[count:]
+        return compute_readings(kernels, p, seeds, begun, dfirst, held, windows, stations)
 
-    slopes = readings(p, first)[1]
-    for column in range(count + 7):
-        e = 1e-6
-
-        def moved(sign, column=column, e=e):
-            q, x = p.copy(), first.copy()
-            if column < count:
-                q[column] += sign * e
-            else:
-                x[:, column - count] += sign * e
-            return readings(q, x)[0]
-
-        central = (moved(1) - moved(-1)) / (2 * e)
+    at, width = np.concatenate([p, np.zeros(7)]), 1e-6
+    slopes = readings(at)[1]
+    for column, step in enumerate(width * np.eye(len(at))):
+        central = (readings(at + step)[0] - readings(at - step)[0]) / (2 * width)
         scale = max(1.0, np.abs(central).max())
         assert np.abs(slopes[:, column] - central).max() < 2e-6 * scale, column
 

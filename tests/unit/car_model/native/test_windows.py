@@ -2,6 +2,7 @@
 
 import hashlib
 import importlib.util
+import pickle
 import platform
 import shutil
 import subprocess
@@ -15,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerd.car_model.effects import EFFECTS, find_effect
-from steerd.car_model.model import Model, memory_size
+from steerd.car_model.model import Model
 from steerd.car_model.native import library, windows
 from steerd.car_model.native.build import BuildError, Compiler, compile_model, link, model_text
 from steerd.car_model.native.library import LibraryError, load_function, load_library, model_label
@@ -40,9 +41,9 @@ H, STEPS, COUNT, N = 0.01, 60, 11, 13
 EVERY = tuple(EFFECTS.values())
 
 
-def _model(effects, chassis, seed=0):
+def _model(effects, chassis):
     """A car whose effects all do something."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     values = tuple(
         tuple(float(np.clip(p.null + 0.05 * rng.random(), p.low, p.high)) for p in e.parameters)
         for e in effects
@@ -58,20 +59,31 @@ def _drive(model, speed):
     return windows.HeldCommands(rows, H), first
 
 
+def _path(kernels, model, held, first):
+    """The compiled path of all windows."""
+    runs = np.tile(np.array([0, STEPS, 0]), (COUNT, 1))
+    blocks = windows.make_window_blocks(runs, np.zeros(COUNT))
+    return march(kernels, windows.parameter_vector(model), first, held, blocks, STEPS)
+
+
+def _marched(model, held, first):
+    """The compiled path of all windows, and Python's of some: (steps, states)."""
+    path = _path(make_kernels(model.effects, model.chassis), model, held, first)
+    orders, driven = [Command(*row) for row in held.rows.tolist()], {}
+    for w in (0, COUNT - 1):
+        begin = start(model, State(*first[w, :STATES].tolist()), 0.0)
+        driven[w] = np.array([m.state for m in simulate(FLOAT, model, begin, orders, H)])
+    return path, driven
+
+
 @pytest.mark.parametrize("speed", [0.3, 1.5])
 @pytest.mark.parametrize("chassis", CHASSIS, ids=lambda chassis: chassis.label)
 @pytest.mark.parametrize("effects", [(), EVERY, (find_effect("tyre_relaxation"),)], ids=len)
 def test_a_drive_is_that_of_python_on_floats(effects, chassis, speed):
     model = _model(effects, chassis)
     held, first = _drive(model, speed)
-    runs = np.tile(np.array([0, STEPS, 0]), (COUNT, 1))
-    kernels = make_kernels(effects, chassis)
-    blocks = windows.make_window_blocks(runs, np.zeros(COUNT))
-    path = march(kernels, windows.parameter_vector(model), first, held, blocks, STEPS)
-    orders = [Command(*row) for row in held.rows.tolist()]
-    for w in (0, COUNT - 1):
-        begin = start(model, State(*first[w, :STATES].tolist()), 0.0)
-        found = np.array([m.state for m in simulate(FLOAT, model, begin, orders, H)])
+    path, driven = _marched(model, held, first)
+    for w, found in driven.items():
         assert np.abs(path[:, :STATES, w] - found).max() < 1e-12 * max(1.0, np.abs(found).max())
 
 
@@ -179,22 +191,20 @@ def test_a_car_is_the_same_in_whatever_order_its_effects_are_named():
     forth = _model(EVERY, PLANAR)
     back = forth._replace(effects=EVERY[::-1], values=forth.values[::-1])
     held, first = _drive(forth, 1.5)
-    begin, orders = State(*first[0, :STATES].tolist()), [Command(*r) for r in held.rows.tolist()]
-    runs = np.tile(np.array([0, STEPS, 0]), (COUNT, 1))
-    blocks = windows.make_window_blocks(runs, np.zeros(COUNT))
-    driven, paths = [], []
-    for model in (forth, back):
-        moments = simulate(FLOAT, model, start(model, begin, 0.0), orders, H)
-        driven.append([m.state for m in moments])
-        kernels, p = make_kernels(model.effects, PLANAR), windows.parameter_vector(model)
-        paths.append(march(kernels, p, first, held, blocks, STEPS))
-    assert driven[0] == driven[1]
+    (path, driven), (other, again) = (_marched(model, held, first) for model in (forth, back))
+    np.testing.assert_array_equal(path, other)
+    np.testing.assert_array_equal([*driven.values()], [*again.values()])
+
+
+def test_a_compiled_car_travels_without_its_code():
+    """Work on a cluster: joblib's goes there, and finds its own code."""
+    model, kernels = Model(DEFAULT_CAR), make_kernels()
+    data = pickle.dumps(kernels)
+    assert len(data) < 5_000
+    again = pickle.loads(data)
+    assert again.names == kernels.names
+    paths = [_path(each, model, *_drive(model, 1.5)) for each in (kernels, again)]
     np.testing.assert_array_equal(*paths)
-
-
-def test_a_car_with_some_effects_remembers_what_every_effect_does():
-    assert make_kernels().memory == 0
-    assert make_kernels(EVERY[:1]).memory == memory_size(EVERY)
 
 
 def test_a_library_of_other_equations_is_refused(tmp_path):

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from benchmarks.blind_gap.car import make_car
-from benchmarks.live_changes.plant import Change, changed, drive
+from benchmarks.live_changes import plant
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.sim_gap.online.learner import Learner, State, fold, make_learner
+from steerd.car_model.effects import find_effect
+from steerd.sim_gap.online.learner import SETTLED, Change, Learner, State, fold, make_learner
+from steerd.sim_gap.online.naming import Finding
 from steerd.sim_gap.online.samples import Sample
 from steerd.sim_gap.online.tracking import Loss, Reference, Track
+from steerd.sim_gap.verdict.confidence import Cause
 from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.space import make_space
 
@@ -27,17 +30,32 @@ def reference(learner: Learner) -> Reference:
     return Reference(learner.augmented, make_space(learner.augmented, NUISANCE, EFFECTS), noise)
 
 
-@pytest.fixture(scope="session")
-def learn() -> Callable[..., State]:
-    """What a learner makes of samples: `learn(learner, samples)`, or on from a state."""
+def follow(
+    learner: Learner, samples: Iterable[Sample], state: State | None = None
+) -> tuple[State, int]:
+    """What a learner makes of samples, from a state on, and how often it reports."""
+    state, reports = state or State(), 0
+    for sample in samples:
+        state, due = fold(learner, state, sample)
+        reports += due
+    return state, reports
 
-    def learn(learner: Learner, samples: Iterable[Sample], state: State | None = None) -> State:
-        state = state or State()
-        for sample in samples:
-            state, _ = fold(learner, state, sample)
-        return state
 
-    return learn
+learn = pytest.fixture(lambda: lambda *given: follow(*given)[0], scope="session")
+
+
+def change(
+    effect, *after, verdict="named", sure=0.95, beside=(), windows=SETTLED, together=0.0, sd=0.0005,
+    **more,
+):  # fmt: skip
+    """A change of a car: what it is named and how sure that is, and its parameters now."""
+    found = find_effect(effect)
+    each = zip(found.parameters, after, strict=True)
+    parameters = {p.name: (value, sd, p.unit) for p, value in each}
+    cause = Cause(effect, "", found.family, parameters, sure, beside, "")
+    finding = Finding(verdict, cause if verdict == "named" else None, max(sure, together))
+    seen = ((0.0, None),) * windows
+    return Change(0.0, 1.0, None, seen, finding, **{"was": found.nulls, **more})
 
 
 @pytest.fixture
@@ -73,9 +91,9 @@ def windows(reference: Reference) -> Callable[..., list[Loss]]:
 def drives() -> Callable[..., list[Sample]]:
     """What a hidden car sends: `drives(seconds)`, or `drives(seconds, "steer_bias", at)`."""
 
-    def make(seconds: float, name: str = "", at: float = 0.0, seed: int = 5) -> list[Sample]:
-        car = make_car(np.random.default_rng(seed))
-        change = Change(name, at, changed(car, name)) if name else None
-        return list(drive(car, seconds, np.random.default_rng(seed + 1), change))
+    def make(seconds: float, name: str = "", at: float = 0.0) -> list[Sample]:
+        car = make_car(np.random.default_rng(5))
+        hit = plant.Change(name, at, plant.changed(car, name)) if name else None
+        return list(plant.drive(car, seconds, np.random.default_rng(6), hit))
 
     return make

@@ -5,27 +5,12 @@ from types import SimpleNamespace
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.car_model.effects import find_effect
 from steerd.controller.learnt import learnt_of
 from steerd.sim_gap.online import values as online
-from steerd.sim_gap.online.learner import Change, State
-from steerd.sim_gap.online.naming import Finding
+from steerd.sim_gap.online.learner import State
 from steerd.sim_gap.online.values import Value
 from steerd.sim_gap.verdict.confidence import Cause
-
-SETTLED = online.SETTLED
-
-
-def change(
-    effect, *after, verdict="named", sure=0.95, beside=(), windows=SETTLED, together=0.0, **more
-):
-    found = find_effect(effect)
-    each = zip(found.parameters, after, strict=True)
-    parameters = {p.name: (value, 0.0005, p.unit) for p, value in each}
-    cause = Cause(effect, "", found.family, parameters, sure, beside, "")
-    finding = Finding(verdict, cause if verdict == "named" else None, max(sure, together))
-    seen = ((0.0, None),) * windows
-    return Change(0.0, 1.0, None, seen, finding, **{"was": found.nulls, **more})
+from tests.unit.sim_gap.online.conftest import change
 
 
 @pytest.fixture
@@ -41,7 +26,7 @@ def aim(learner, monkeypatch):
 
 def test_nothing_is_followed_before_the_car_is_known_or_a_change_has_some_windows(learner, aim):
     assert online.find_aim(learner, State()) == "the car is being learnt"
-    early = change("steer_bias", 0.02, windows=SETTLED - 1)
+    early = change("steer_bias", 0.02, windows=online.SETTLED - 1)
     assert aim(now=early) == "a change is being looked into"
 
 

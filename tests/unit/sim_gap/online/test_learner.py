@@ -2,20 +2,13 @@
 
 import pytest
 
-from steerd.sim_gap.online.learner import REFERENCE, SETTLED, State, fold
+from steerd.sim_gap.online.learner import REFERENCE, SETTLED
 from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled
 from steerd.sim_gap.online.values import values_of
+from tests.unit.sim_gap.online.conftest import follow
 
 pytestmark = pytest.mark.slow
 AT, LONGEST = 30.2, 9.8  # when a car changes, and how long it is looked at after that [s]
-
-
-def follow(learner, samples, state=None):
-    state, reports = state or State(), 0
-    for sample in samples:
-        state, due = fold(learner, state, sample)
-        reports += due
-    return state, reports
 
 
 quiet = pytest.fixture(lambda learner, drives: follow(learner, drives(32.0)), scope="module")

@@ -27,7 +27,7 @@ def test_what_was_learnt_widens_each_day_until_the_car_file_says_as_much(learner
     assert remember(augmented, Memory({**lengths, "no.such": (1.0, 0.1)}, 0.0)) == {}
 
 
-def test_memory_and_drive_are_joined_and_nothing_remembered_changes_no_bit(reference, track):
+def test_memory_and_drive_are_joined_unless_the_drive_shows_another_car(reference, track):
     place, name = reference.space.chart.free.index("steer_lag"), "steer_lag"
     at = float(reference.space.centre[place])
     sd = float(np.sqrt(track.covariance[place, place]))
@@ -36,20 +36,14 @@ def test_memory_and_drive_are_joined_and_nothing_remembered_changes_no_bit(refer
     assert np.sqrt(joined.covariance[place, place]) < 0.8 * sd
     others = [i for i in range(reference.space.nuisance) if i != place]
     np.testing.assert_array_equal(joined.mean[others], track.mean[others])
+    for size, kept in ((4.0, True), (4.5, False)):
+        joined = with_memory(reference, track, {name: (at + size * sd, sd)})
+        assert (joined is not track) == kept
     for nothing in ({}, {"speed_gain": (1.0, 1e-3)}):
         joined = with_memory(reference, track, nothing)
         np.testing.assert_array_equal(joined.information, track.information)
         np.testing.assert_array_equal(joined.pull, track.pull)
         np.testing.assert_array_equal(joined.prior, track.prior)
-
-
-def test_a_drive_that_shows_another_car_is_believed(reference, track):
-    place = reference.space.chart.free.index("steer_lag")
-    sd = float(np.sqrt(track.covariance[place, place]))
-    at = float(reference.space.centre[place])
-    for size, kept in ((4.0, True), (4.5, False)):
-        joined = with_memory(reference, track, {"steer_lag": (at + size * sd, sd)})
-        assert (joined is not track) == kept
 
 
 @pytest.mark.slow

@@ -7,12 +7,12 @@ import pytest
 from steerd.sim_gap.online import samples
 
 
-def driven(seconds, speed=1.5, asked=1.5, until=math.inf):
-    """A straight drive at 100 Hz, standing still from `until` on."""
+def driven(seconds, speed=1.5, asked=1.5):
+    """A straight drive at 100 Hz."""
     recent, x = samples.Recent(), 0.0
     for tick in range(round(100 * seconds)):
         t = 0.01 * tick
-        x += 0.01 * speed if t < until else 0.0
+        x += 0.01 * speed
         recent = samples.take(recent, samples.Ordered(t, 0.1, asked))
         recent = samples.take(recent, samples.PoseSeen(t, x, 0.0, 0.0))
         recent = samples.take(recent, samples.Rolled(t, speed))

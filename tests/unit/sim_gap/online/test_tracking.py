@@ -5,15 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerd.car_model.effects import find_effect
 from steerd.sim_gap.online.changes import SPANS, QuietRatios, ratios, reweighted
 from steerd.sim_gap.online.learner import Change
 from steerd.sim_gap.online.naming import EARLY, Finding, believed, find_cause
 from steerd.sim_gap.online.tracking import Seen, Track, follow, informed_directions, may_change
 from steerd.sim_gap.online.values import amounts_of
-from steerd.sim_gap.verdict.confidence import Cause
 from steerd.sysid.inference.augmented_car import BasePrior
 from steerd.sysid.inference.space import make_space
+from tests.unit.sim_gap.online.conftest import change
 
 PRIOR = np.diag([1.0, 4.0, 0.25])
 
@@ -115,13 +114,6 @@ def test_what_a_car_shows_as_usual_is_no_change():
 
 
 # What is told of a change is by how much the car moved, whatever it was learnt to have before.
-def change(effect, after, was):
-    each = zip(find_effect(effect).parameters, after, strict=True)
-    parameters = {p.name: (value, 0.5, p.unit) for p, value in each}
-    finding = Finding("named", Cause(effect, "", "", parameters, 0.95, (), ""))
-    return Change(0.0, 1.0, None, (), finding, was)
-
-
 @pytest.mark.parametrize(("effect", "after", "was", "moved"), [
     ("marker_offset", (0.018, 0.001), (-0.0115, 0.0004),
      [(0.0295, 0.5, "m"), (0.0006, 0.5, "m")]),
@@ -130,7 +122,7 @@ def change(effect, after, was):
      [(0.3, 0.5, "1"), (0.7, 0.5, "1")]),  # the form is no amount
 ])  # fmt: skip
 def test_an_effect_moved_by_a_difference_or_a_quotient(effect, after, was, moved):
-    amounts = amounts_of(change(effect, after, was)).values()
+    amounts = amounts_of(change(effect, *after, was=was, sd=0.5)).values()
     assert [unit for _, _, unit in amounts] == [unit for _, _, unit in moved]
     assert [each[:2] for each in amounts] == [pytest.approx(each[:2]) for each in moved]
     assert amounts_of(Change(0.0, 1.0, None, ())) == {}, "without a name"

@@ -107,7 +107,7 @@ def test_nearly_all_is_not_all(share, words):
 DOF = 1e9
 
 
-def _line(values: np.ndarray, z: float, spread: float = 1e6) -> SimpleNamespace:
+def _line(values: np.ndarray, z: float) -> SimpleNamespace:
     """Windows that each read one coordinate directly, fitted at `z`; losses are nearly squares."""
     count = len(values)
     at = Reduced(
@@ -117,8 +117,8 @@ def _line(values: np.ndarray, z: float, spread: float = 1e6) -> SimpleNamespace:
         dx=np.zeros((count, 7)), kx=np.zeros((count, 7, 1)),
     )  # fmt: skip
     space = SimpleNamespace(
-        centre=np.zeros(1), precision=np.array([[spread**-2.0]]),
-        prior_pull=lambda z: -z / spread**2,
+        centre=np.zeros(1), precision=np.array([[1e-12]]),
+        prior_pull=lambda z: -1e-12 * z,
         low=np.array([-1e9]), high=np.array([1e9]), nuisance=0, effects=("a",),
     )  # fmt: skip
     return SimpleNamespace(space=space, at=at, z=np.array([z]))
@@ -155,12 +155,12 @@ def test_an_interval_of_more_than_half_tells_no_share():
 
 
 # When few windows hold most of a gap, they are listed; when it is spread, nothing is said.
-def words(bad, place, count=100):
-    """The words about `count` windows a second apart of which `bad` have these ratios."""
-    ratios = np.ones(count)
+def words(bad, place):
+    """The words about 100 windows a second apart of which `bad` have these ratios."""
+    ratios = np.ones(100)
     ratios[list(bad)] = list(bad.values())
-    names = ["a.mcap" if w < 50 else "b.mcap" for w in range(count)]
-    return where.moments_words(ratios, names, np.arange(count, dtype=float), place)
+    names = ["a.mcap" if w < 50 else "b.mcap" for w in range(100)]
+    return where.moments_words(ratios, names, np.arange(100.0), place)
 
 
 def test_moments_are_named_with_their_times_and_a_place_that_they_share():

@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerd.steer_bus.session_read import open_session
 from steerd.sysid.data import segments
 from steerd.sysid.data.data_checks import DataError, noise_of
-from steerd.sysid.data.dataset import HISTORY, Signal, hold_means, make_run, pose_speed, read_run
+from steerd.sysid.data.dataset import HISTORY, Signal, hold_means, make_run, pose_speed
 from steerd.sysid.data.excitation import speed_tracking_share
 from steerd.sysid.data.windows import make_layout
 
@@ -118,18 +117,6 @@ def test_rows_of_a_window_are_its_own_and_know_their_time():
         assert values[channels > 2] == pytest.approx(at[channels > 2])
 
 
-def test_a_session_without_poses_says_what_to_do(tmp_path):
-    from steerd.steer_bus.messages import Actuation
-    from steerd.steer_bus.session import SessionWriter
-    from steerd.steer_bus.topics import ACTUATION, make_session_topic
-
-    path = tmp_path / "drive.mcap"
-    topics = {make_session_topic("car", ACTUATION): Actuation}
-    SessionWriter(path, topics, {"steerd.session": {}}).finish({"reason": "test"})
-    with pytest.raises(DataError, match="no topic 'mocap'"):
-        read_run(open_session(path))
-
-
 def test_a_car_that_does_not_follow_its_speed_commands_is_noticed():
     drive = _make(*_good())
     assert speed_tracking_share([drive]) == 1.0
@@ -152,13 +139,19 @@ def test_sharp_poses_give_a_speed_without_commands_better_than_a_wheel(blur, sou
 
 
 # Parts of drives know where in their drive they begin: drift counts from the drive's start.
+def imported(speed, rate, blur=0.0, seconds=20.0):
+    """A log without speed commands of a car that goes along x, `speed` over times [s]."""
+    t = np.arange(0.0, seconds, 1.0 / rate)
+    noise = blur * np.random.default_rng(4).normal(size=(len(t), 2))
+    x = np.concatenate([[0.0], np.cumsum(speed(t[:-1]))]) / rate
+    pose = np.column_stack([x, 0.0 * t, 0.0 * t])
+    pose[:, :2] += noise
+    return make_run("log", Signal(t, 0.1 * np.sin(t)), None, Signal(t, pose))
+
+
 @pytest.fixture
 def drive():
-    t = np.arange(0.0, 26.0, 0.01)
-    speed = np.where(t < 4.0, 0.0, 1.0)
-    x = np.cumsum(speed) * 0.01
-    pose = np.column_stack([x, 0.01 * np.sin(t), 0.0 * t])
-    return make_run("drive", Signal(t, 0.1 * np.sin(t)), Signal(t, speed), Signal(t, pose))
+    return imported(lambda t: np.where(t < 4.0, 0.0, 1.0), 100.0, seconds=26.0)
 
 
 def test_windows_of_blocks_and_what_is_kept_back_keep_the_time_of_the_drive(drive):
@@ -212,16 +205,6 @@ def test_a_short_drive_stays_as_it_is_and_many_are_thinned_evenly_to_what_is_wan
     numbers = [int(run.name) for run in kept]
     assert (len(kept), numbers[0], numbers[-1], set(np.diff(numbers))) == (10, 0, 39, {4, 5})
     assert segments.thinned(drives, 0.0) == drives[:1]
-
-
-def imported(speed, rate, blur=0.0):
-    """A log without speed commands of a car that goes along x, `speed` over times [s]."""
-    t = np.arange(0.0, 20.0, 1.0 / rate)
-    noise = blur * np.random.default_rng(4).normal(size=(len(t), 2))
-    x = np.concatenate([[0.0], np.cumsum(speed(t[:-1]))]) / rate
-    pose = np.column_stack([x, 0.0 * t, 0.0 * t])
-    pose[:, :2] += noise
-    return make_run("log", Signal(t, 0.1 * np.sin(t)), None, Signal(t, pose))
 
 
 @pytest.mark.parametrize("rate", [20.0, 100.0])

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from steerd.car_model.effects import find_effect
 from steerd.car_model.ops import FLOAT
@@ -14,7 +15,8 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.session_read import open_session
-from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, make_session_topic
+from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, Topic, make_session_topic
+from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run, Signal, make_run, read_run
 from steerd.sysid.data.jitter_correction import correct_log_jitter, find_log_jitter, log_period
 from steerd.sysid.data.windows import _remembered
@@ -24,7 +26,7 @@ BOOT = 55_000_000_000
 NAN = float("nan")
 
 
-def _messages(t_ns: int, k: int) -> list[tuple[str, object]]:
+def _messages(t_ns: int, k: int) -> list[tuple[Topic, object]]:
     x, reject = 0.015 * k + (5.0 if k == 150 else 0.0), "jump" if k == 150 else ""
     header, world = (m.make_header(EPOCH + t_ns, frame) for frame in (m.BODY, m.WORLD))
     steer = 0.1 if k >= 100 else 0.0
@@ -34,28 +36,33 @@ def _messages(t_ns: int, k: int) -> list[tuple[str, object]]:
     pose = m.MocapPose(world, *times, 1, *raw, NAN, x, 0.5, yaw, 0.0, 0.0, reject)
     sent = (t_ns - 1_000_000, t_ns + 1_000_000)
     return [
-        (MOCAP.name, pose),
-        (ACTUATION.name, m.Actuation(header, k, mode, steer, 1.5, NAN, b"")),
-        (VESC.name, m.VescTelemetry(header, *sent, -1, 9228, -1, -1, -1, -1, *(NAN,) * 10)),
-        (IMU.name, m.VescImu(header, *sent, *(NAN,) * 5, 1.0, *(NAN,) * 4)),
+        (MOCAP, pose),
+        (ACTUATION, m.Actuation(header, k, mode, steer, 1.5, NAN, b"")),
+        (VESC, m.VescTelemetry(header, *sent, -1, 9228, -1, -1, -1, -1, *(NAN,) * 10)),
+        (IMU, m.VescImu(header, *sent, *(NAN,) * 5, 1.0, *(NAN,) * 4)),
     ]
 
 
-@pytest.fixture
-def session(tmp_path):
-    path = tmp_path / "drive.mcap"
-    topics = {make_session_topic("car", t): t.message for t in (MOCAP, ACTUATION, VESC, IMU)}
+def _record(path, *topics):
+    """A drive of 4 s with messages of these topics."""
     scaling = {"erpm_gain": "4614", "erpm_offset": "0"}
-    writer = SessionWriter(path, topics, {"steerd.scaling": scaling})
+    named = {make_session_topic("car", t): t.message for t in topics}
+    writer = SessionWriter(path, named, {"steerd.scaling": scaling})
     for k in range(400):
         t_ns = BOOT + 10_000_000 * k
-        for name, message in _messages(t_ns, k):
-            writer.write(f"/steerd/car/{name}", encode(message), EPOCH + t_ns)
-    return writer.finish({"reason": "test"})
+        for topic, message in _messages(t_ns, k):
+            if topic in topics:
+                writer.write(f"/steerd/car/{topic.name}", encode(message), EPOCH + t_ns)
+    return open_session(writer.finish({"reason": "test"}))
 
 
-def test_signals_share_the_commands_clock(session):
-    run = read_run(open_session(session))
+def test_a_session_without_poses_says_what_to_do(tmp_path):
+    with pytest.raises(DataError, match="no topic 'mocap'"):
+        read_run(_record(tmp_path / "drive.mcap", ACTUATION))
+
+
+def test_signals_share_the_commands_clock(tmp_path):
+    run = read_run(_record(tmp_path / "drive.mcap", MOCAP, ACTUATION, VESC, IMU))
     assert (run.name, run.speed_source) == ("drive.mcap", "command")
     assert len(run.pose.t) == 379  # 20 before the drive, one rejected
     assert run.pose.t[:2] == pytest.approx([0.0, 0.01], abs=1e-9)
@@ -117,10 +124,8 @@ def _drive(wait: float, drift: float) -> tuple[Run, Array, Array]:
     steps = np.repeat(rng.uniform(-0.3, 0.3, 200), rng.integers(1, 9, 200))[: len(left)]
     t = np.arange(0.0, SECONDS, 0.002)
     held = steps[np.minimum((t / 0.1).astype(int), len(steps) - 1)]
-    angle, angles = 0.0, np.empty_like(held)
-    for i, command in enumerate(held.tolist()):
-        angle += (1.0 - np.exp(-0.002 / LAG)) * (command - angle)
-        angles[i] = angle
+    share = 1.0 - np.exp(-0.002 / LAG)
+    angles = lfilter([share], [1.0, share - 1.0], held)
     yaw = np.cumsum(SPEED * np.tan(angles) / LENGTH) * 0.002
     place = np.cumsum(SPEED * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0) * 0.002
     poses = np.column_stack([place, yaw])[::5] + rng.normal(0.0, 5e-4, (len(t[::5]), 3))

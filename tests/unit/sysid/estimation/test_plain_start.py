@@ -20,14 +20,14 @@ MODEL, TYRES = Model(DEFAULT_CAR), EFFECTS["tyre_saturation"]
 LENGTHS = (0.1, 0.15, 0.33, 0.8, 3.0)
 
 
-def drive(length, seed, *, unit=1.0, delay=0.1, rate=20.0, blur=0.001):
+def drive(length, seed, *, unit=1.0, rate=20.0, blur=0.001):
     """A rolling car of some wheelbase, its commands in some unit of their own."""
     rng = np.random.default_rng([3, seed])
     t = np.arange(0.0, 30.0, 0.005)
     turns = np.cumsum(rng.normal(size=len(t))) * 0.02
     steer = 0.35 * np.sin(0.9 * t + turns) + 0.05 * np.sin(0.13 * t)
     speed = min(1.0, np.sqrt(4.0 * length)) * (1.0 + 0.3 * np.sin(0.4 * t))
-    wheels = np.interp(t - delay, t, steer)
+    wheels = np.interp(t - 0.1, t, steer)
     yaw = np.cumsum(speed * np.tan(wheels) / length) * 0.005
     x, y = (np.cumsum(speed * part) * 0.005 for part in (np.cos(yaw), np.sin(yaw)))
     at = np.arange(0.0, 29.9, 1.0 / rate)
@@ -141,12 +141,11 @@ def test_one_speed_tells_no_more_than_it_can(slow, truth):
 
 
 # Start values that do not stand in the way: inertia, loads and end stops of another car.
-def _run(steer=0.3, speed=True, servo_frame=0.0):
-    t = np.arange(0.0, 8.0, 0.05)
-    angles = steer * np.sin(t)
+def _run(steer=0.3, speed=True, servo_frame=0.0, shape=np.sin):
+    t = np.arange(0.0, 8.0, 0.01)
     poses = np.column_stack([t, np.sin(t), 0.2 * np.sin(t)])
     asked = Signal(t, np.ones(len(t))) if speed else None
-    run = make_run("r", Signal(t, angles), asked, Signal(t, poses))
+    run = make_run("r", Signal(t, steer * shape(t)), asked, Signal(t, poses))
     return replace(run, servo_frame=servo_frame)
 
 
@@ -186,15 +185,9 @@ def test_errors_are_told_by_lateral_acceleration():
 
 
 def test_only_steps_that_the_file_s_servo_cannot_follow_outpace_it():
-    t = np.arange(0.0, 8.0, 0.01)
-    poses = Signal(t, np.column_stack([t, np.sin(t), 0.2 * np.sin(t)]))
-
-    def asked(angles):
-        return [make_run("r", Signal(t, angles), Signal(t, np.ones(len(t))), poses)]
-
-    steps = asked(0.2 * np.sign(np.sin(t)))
-    ramps = asked(np.clip(3.0 * (np.abs(t % 4.0 - 2.0) - 1.0), -0.3, 0.3))
-    assert prep.exceeds_slew_rate(MODEL, steps)
-    assert not prep.exceeds_slew_rate(MODEL, ramps)
+    steps = _run(0.2, shape=lambda t: np.sign(np.sin(t)))
+    ramps = _run(0.3, shape=lambda t: np.clip(10.0 * (np.abs(t % 4.0 - 2.0) - 1.0), -1.0, 1.0))
+    assert prep.exceeds_slew_rate(MODEL, [steps])
+    assert not prep.exceeds_slew_rate(MODEL, [ramps])
     fast = MODEL._replace(car=DEFAULT_CAR._replace(steer_rate=12.0))
-    assert not prep.exceeds_slew_rate(fast, steps)
+    assert not prep.exceeds_slew_rate(fast, [steps])

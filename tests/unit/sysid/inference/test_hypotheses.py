@@ -11,24 +11,21 @@ from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import BasePrior, Control, make_augmented_car
 from steerd.sysid.inference.hypotheses import begin, explain, screen_effects
 from steerd.sysid.inference.library import Library, carry
-from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.odds import rank
 from steerd.sysid.inference.posterior import posterior_of
-from steerd.sysid.inference.predictor import open_predictor
 from steerd.sysid.inference.search import minimise, stand
 from steerd.sysid.inference.space import FLOORS, make_space, nuisance_names
-from tests.unit.sysid.inference.conftest import NOISE
+from tests.unit.sysid.inference.conftest import likelihood_of
 
 LOOKED_AT = ("steer_delay", "steer_lag", "mocap_latency", "speed_scale", "marker_offset",
              "tyre_friction", "rolling_drag")  # fmt: skip
 SAME = {e.name: e.same_as for e in EFFECTS.values() if e.same_as}
 
 
-def _library(runs, base, names=LOOKED_AT):
-    predictor = open_predictor(make_augmented_car(base, runs), runs)
-    guess, augmented = predictor.guess.copy(), predictor.augmented
-    likelihood = make_likelihood(predictor, augmented.base, guess, NOISE)
-    return Library(likelihood, nuisance_names(augmented, runs), tuple(map(EFFECTS.get, names)))
+def _library(runs, base):
+    likelihood = likelihood_of(make_augmented_car(base, runs), runs)
+    nuisance = nuisance_names(likelihood.predictor.augmented, runs)
+    return Library(likelihood, nuisance, tuple(map(EFFECTS.get, LOOKED_AT)))
 
 
 def temper_of(library, found):
@@ -38,25 +35,20 @@ def temper_of(library, found):
 
 
 @pytest.fixture(scope="module")
-def late(drive, base):
-    """All hypotheses of up to two effects about drives whose steering is late."""
-    library = _library(drive("steer_delay=0.03", runs=3, seconds=6.0, seed=21), base)
-    return library, explain(library)
+def explained(drive, base):
+    """All hypotheses of up to two effects about drives with these effects, and their library."""
+
+    def explained(text, seed):
+        library = _library(drive(text, runs=3, seconds=6.0, seed=seed), base)
+        return library, explain(library)
+
+    return explained
 
 
-@pytest.fixture(scope="module")
-def both(drive, base):
-    """The same of drives with two causes."""
-    text = "steer_delay=0.04,speed_scale=0.93"
-    library = _library(drive(text, runs=3, seconds=6.0, seed=8), base)
-    return library, explain(library)
-
-
-@pytest.fixture(scope="module")
-def fine(drive, base):
-    """The same of healthy drives."""
-    library = _library(drive("", runs=3, seconds=6.0, seed=2), base)
-    return library, explain(library)
+late = pytest.fixture(lambda explained: explained("steer_delay=0.03", 21), scope="module")
+TWO = "steer_delay=0.04,speed_scale=0.93"
+both = pytest.fixture(lambda explained: explained(TWO, 8), scope="module")
+fine = pytest.fixture(lambda explained: explained("", 2), scope="module")
 
 
 # --- what is free
@@ -118,10 +110,12 @@ def test_a_base_without_a_limit_is_as_limited(likelihood, name):
 
 
 # --- what is looked at
-def test_a_start_that_the_base_alone_holds_holds_no_effect_back(late):
+def test_a_search_begins_at_the_base_and_a_start_that_that_holds_holds_no_effect_back(late):
     """The windows in which an effect shows are those that the base bends too far."""
-    library, _ = late
+    library, whole = late
     start = begin(library, (), (), library.likelihood.predictor.guess.copy())
+    assert start.z == pytest.approx(start.space.centre)
+    assert start.size == whole.start.size
     found = []
     for fill in (np.zeros_like, np.ones_like):
         rotated = start.rotated._replace(held=fill(start.rotated.held))
@@ -132,17 +126,14 @@ def test_a_start_that_the_base_alone_holds_holds_no_effect_back(late):
 
 # --- what comes out
 @pytest.mark.parametrize("case", ["late", "both", "fine"])
-def test_no_hypothesis_is_worse_than_one_nested_in_it(case, request):
-    _, found = request.getfixturevalue(case)
+def test_no_hypothesis_is_worse_than_one_nested_in_it_and_probabilities_are_a_posterior(
+    case, request
+):
+    library, found = request.getfixturevalue(case)
     assert len(found.hypotheses) > (0 if case == "fine" else 2)
     for h, other in product(found.hypotheses, repeat=2):
         if set(other.effects) < set(h.effects):
             assert h.point.cost < other.point.cost + 0.5, (h.effects, other.effects)
-
-
-@pytest.mark.parametrize("case", ["late", "both", "fine"])
-def test_probabilities_are_a_posterior(case, request):
-    library, found = request.getfixturevalue(case)
     assert sum(h.probability for h in found.hypotheses) == pytest.approx(1.0)
     odds = [h.log_odds for h in found.hypotheses]
     assert odds == sorted(odds, reverse=True)
@@ -240,6 +231,8 @@ def test_knowledge_of_the_base_counts_whole_where_windows_count_in_part(late):
     prior = 0.5 * float(away @ np.linalg.solve(point.space.covariance, away))
     assert point.space.prior_cost(point.z) == pytest.approx(library.worth * prior)
     assert replace(library, known=False).worth == 1.0
+    controlled = _with_controls(library, _late_by(0.0))
+    assert controlled.worth < library.worth, "without controls windows that repeat count for less"
 
 
 def test_what_an_effect_gains_the_base_cannot_gain_alone(late):
@@ -249,14 +242,6 @@ def test_what_an_effect_gains_the_base_cannot_gain_alone(late):
     space = null.space
     start = stand(library.likelihood, space, carry(library.likelihood, space, best), best.x, 2.0)
     assert minimise(library.likelihood, start).cost > null.cost - 0.5
-
-
-def test_a_search_begins_with_the_base_where_it_was(late):
-    library, found = late
-    guess = library.likelihood.predictor.guess.copy()
-    start = begin(library, (), (), guess)
-    assert start.z == pytest.approx(start.space.centre)
-    assert start.size == found.start.size
 
 
 # --- healthy drives as controls
@@ -302,12 +287,20 @@ def test_controls_only_take_away(slightly_late):
         assert _gain(_with_controls(library, _late_by(seconds)), points) <= most + 1e-9
 
 
-def test_a_clear_cause_loses_no_more_than_is_usual(late):
-    """A large gap promises much along any gradient; between clear causes the evidence decides."""
+def test_a_clear_cause_loses_no_more_than_is_usual_with_a_control_of_its_own_or_without(late):
+    """A large gap promises much along any gradient; between clear causes the evidence decides.
+
+    Also a clip, which has no control, is compared with a gain, which has one.
+    """
     library, found = late
     points = [found.null.point, found.best.point]
+    most = c.SHOWN_MOST * 0.1 * len(points[0].at.dof)
     gains = [_gain(_with_controls(library, _late_by(0.002, gain=g)), points) for g in (0.0, 0.1)]
-    assert gains[0] - gains[1] == pytest.approx(c.SHOWN_MOST * 0.1 * len(points[0].at.dof))
+    assert gains[0] - gains[1] == pytest.approx(most)
+    other = Control("speed_scale", np.zeros(1), np.eye(1) * 1e-6, 0.1)
+    nothing = _late_by(0.0, 1e-6, gain=0.1)
+    gains = [_gain(_with_controls(library, other, *own), points) for own in ([nothing], [])]
+    assert gains[0] - gains[1] == pytest.approx(most, abs=1e-3)
 
 
 def test_a_look_loses_no_more_than_its_effect_gained_in_healthy_drives(late):
@@ -320,17 +313,6 @@ def test_a_look_loses_no_more_than_its_effect_gained_in_healthy_drives(late):
         looks.append(next(look for look in screened if look.effect == "steer_delay").gain)
     most = c.SHOWN_MOST * 0.01 * len(found.start.at.dof) * known.design_effect(found.start.size)
     assert looks[0] - looks[1] == pytest.approx(most)
-
-
-def test_a_clear_cause_without_a_control_gives_up_the_most_that_another_may(late):
-    """A clip, which has none, is compared with a gain, which has one."""
-    library, found = late
-    points = [found.null.point, found.best.point]
-    other = Control("speed_scale", np.zeros(1), np.eye(1) * 1e-6, 0.1)
-    nothing = _late_by(0.0, 1e-6, gain=0.1)
-    gains = [_gain(_with_controls(library, other, *own), points) for own in ([nothing], [])]
-    most = c.SHOWN_MOST * 0.1 * len(points[0].at.dof)
-    assert gains[0] - gains[1] == pytest.approx(most, abs=1e-3)
 
 
 def test_two_causes_are_worth_the_same_whatever_little_one_of_them_is_alone(both):
@@ -346,8 +328,3 @@ def test_two_causes_are_worth_the_same_whatever_little_one_of_them_is_alone(both
     without = rank(library, [point for point in points if point is not weak])[0]
     assert with_weak.effects == without.effects == found.best.effects
     assert with_weak.log_odds == pytest.approx(without.log_odds, abs=1e-6)
-
-
-def test_without_controls_windows_that_repeat_count_for_less(late):
-    library, _ = late
-    assert _with_controls(library, _late_by(0.0)).worth < library.worth

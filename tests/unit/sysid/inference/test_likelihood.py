@@ -104,9 +104,7 @@ def test_gradient_and_curvature_are_difference_quotients(likelihood, small, size
     point = stand(likelihood, small, small.centre + 0.3 * small.spread, guess, size)
     for _ in range(3):
         point = stand(likelihood, small, point.z, point.x + point.at.dx, size)
-    for i in range(len(small.centre)):
-        step = np.zeros(len(small.centre))
-        step[i] = 0.02 * small.spread[i]
+    for i, step in enumerate(0.02 * np.diag(small.spread)):
         ends = [stand(likelihood, small, point.z + way * step, point.x, size).at for way in (-1, 1)]
         low, high = (float(loss_of(at.square, at.dof).sum()) for at in ends)
         slope = -float(point.at.weight @ point.at.g[:, i])
@@ -125,7 +123,8 @@ def test_another_size_is_a_change_of_weights_alone(likelihood, small):
     assert with_size(likelihood, point, 2.0) is point
 
 
-def test_a_window_in_which_the_car_spins_hardly_pulls_and_decides_little(likelihood, small):
+def test_a_weight_is_the_slope_of_the_loss_and_a_window_that_spins_hardly_pulls(likelihood, small):
+    """Half of it per square, below and beyond the bound from which a window counts as spun."""
     guess = likelihood.predictor.guess
     at = stand(likelihood, small, small.centre, guess, 0.0).at
     spun = at._replace(square=at.square * np.where(np.arange(len(guess)) == 2, 1e6, 1.0))
@@ -134,11 +133,6 @@ def test_a_window_in_which_the_car_spins_hardly_pulls_and_decides_little(likelih
     bounded = spun.dof[2] * np.log1p(c.SPUN)
     found = loss_of(spun.square, spun.dof)[2]
     assert found == pytest.approx(bounded + c.SPUN_SHARE * (usual - bounded))
-
-
-def test_a_weight_is_the_slope_of_the_loss(likelihood, small):
-    """Half of it per square, below and beyond the bound from which a window counts as spun."""
-    at = stand(likelihood, small, small.centre, likelihood.predictor.guess, 0.0).at
     for ratio in (0.5, 3.0, 0.9 * c.SPUN, 1.1 * c.SPUN, 50.0 * c.SPUN):
         square, dof = ratio * at.dof, at.dof
         step = 1e-4 * square
@@ -173,10 +167,12 @@ def test_the_share_of_a_discrepancy_grows_from_nothing_to_nearly_all(likelihood)
     assert ((likelihood.pushed > 0.0) & (likelihood.pushed < 1.0)).all()
 
 
-def test_some_windows_have_the_losses_that_they_have_among_all(likelihood, small):
+def test_some_windows_have_the_errors_and_losses_that_they_have_among_all(likelihood, small):
     guess = likelihood.predictor.guess
     chosen = np.arange(len(guess)) % 3 == 1
     part = take_some(likelihood, chosen)
     whole = stand(likelihood, small, small.centre, guess, 0.3)
     taken = stand(part, small, small.centre, guess[chosen], 0.3)
+    width = taken.linear.error.shape[1]
+    assert np.allclose(taken.linear.error, whole.linear.error[chosen, :width], atol=1e-12)
     assert taken.at.loss == pytest.approx(whole.at.loss[chosen], rel=1e-6)

@@ -131,7 +131,10 @@ def test_prescribed_speed_tells_nothing_of_the_drive(healthy, drive):
     assert "tyre_friction" in left
 
 
-def test_a_push_along_the_car_shows_in_speed_and_nowhere_before(healthy, fitted):
+def test_a_push_along_the_car_shows_in_speed_alone_and_in_no_window_that_left_the_map(
+    healthy, fitted
+):
+    """Such a window is lost whatever pushes it, and takes no other window along."""
     seen = responses(healthy, fitted.parameters, fitted.x)
     assert seen.shape[0] == len(INPUTS)
     channel = healthy.layout.channel[healthy.padded.row]
@@ -143,26 +146,11 @@ def test_a_push_along_the_car_shows_in_speed_and_nowhere_before(healthy, fitted)
     late = first[wheel & (t > 0.15) & (t < 0.25)]
     assert np.all(late > 0.0)
     assert np.all(late < 0.11)
-
-
-def test_windows_taken_out_read_the_same(healthy, fitted):
-    chosen = np.arange(healthy.layout.count) % 2 == 0
-    part = healthy.take(chosen)
-    space = make_space(healthy.augmented, ())
-    whole = healthy.linear(space, space.centre, fitted.x).error[chosen]
-    taken = part.linear(space, space.centre, fitted.x[chosen]).error
-    assert np.allclose(whole[:, : taken.shape[1]], taken, atol=1e-12)
-
-
-def test_a_window_that_left_the_map_answers_to_nothing(healthy, fitted):
-    """It is lost whatever pushes it, and takes no other window along."""
-    whole = responses(healthy, fitted.parameters, fitted.x)
     x = fitted.x.copy()
     x[2, 3] = np.nan
-    seen = responses(healthy, fitted.parameters, x)
-    others = np.arange(len(x)) != 2
-    assert (seen[:, 2] == 0.0).all()
-    assert np.allclose(seen[:, others], whole[:, others], rtol=1e-9, atol=1e-9)
+    without, others = responses(healthy, fitted.parameters, x), np.arange(len(x)) != 2
+    assert (without[:, 2] == 0.0).all()
+    assert np.allclose(without[:, others], seen[:, others], rtol=1e-9, atol=1e-9)
 
 
 def _left(predictor, noise):
@@ -182,12 +170,3 @@ def test_noise_is_learnt_within_a_factor_and_when_calibrated_leaves_one(healthy,
     left = _left(healthy, noise)
     assert _left(healthy, noises.calibrated(noise, left)) == pytest.approx(1.0, abs=0.03)
     assert _left(healthy, noises.calibrated(noise, left, 0.8)) == pytest.approx(0.8, abs=0.03)
-
-
-def test_starts_at_their_best_lower_the_error(likelihood):
-    space = make_space(likelihood.predictor.augmented, ())
-    guess = likelihood.predictor.guess
-    error, _ = likelihood.predictor.errors(space.chart.parameters(space.centre), guess)
-    before = likelihood.squares(error, guess, 0.0)
-    after = settled(likelihood, space, space.centre).at.square
-    assert (after <= before * (1.0 + 1e-9)).all()

@@ -10,12 +10,11 @@ from steerd.sysid.inference import search
 from steerd.sysid.inference.augmented_car import make_augmented_car
 from steerd.sysid.inference.hypotheses import begin
 from steerd.sysid.inference.library import Library
-from steerd.sysid.inference.likelihood import loss_of, make_likelihood
+from steerd.sysid.inference.likelihood import loss_of
 from steerd.sysid.inference.posterior import between_halves, posterior_of
-from steerd.sysid.inference.predictor import open_predictor
 from steerd.sysid.inference.space import make_space, weak_knowledge
 from steerd.sysid.inference.starts import owes, settle_starts
-from tests.unit.sysid.inference.conftest import FEW, NOISE
+from tests.unit.sysid.inference.conftest import FEW, likelihood_of
 
 LATE = 0.03
 MOST_SPREADS = 2.5  # prior standard deviations over which random starts are drawn, each way
@@ -24,8 +23,7 @@ MOST_SPREADS = 2.5  # prior standard deviations over which random starts are dra
 @pytest.fixture(scope="module")
 def late(drive, base):
     runs = drive(f"steer_delay={LATE}", runs=2, seconds=6.0, seed=21)
-    predictor = open_predictor(make_augmented_car(base, runs), runs)
-    return make_likelihood(predictor, predictor.augmented.base, predictor.guess, NOISE)
+    return likelihood_of(make_augmented_car(base, runs), runs)
 
 
 @pytest.fixture(scope="module")
@@ -42,10 +40,16 @@ def settled_base(likelihood, small):
     return search.fresh(likelihood, point)
 
 
-def test_the_effect_is_found_with_its_size(found):
+def test_the_effect_is_found_with_its_size_at_the_cost_that_is_simulated_there(late, found):
+    """No cost rests on derivatives of another point, or on a start's unfulfilled promise."""
     assert found.z[-1] == pytest.approx(LATE, abs=0.002)
     assert found.whole
     assert found.size < c.GAP_SIZE
+    again = search.stand(late, found.space, found.z, found.x, found.size)
+    assert again.cost == pytest.approx(found.cost, abs=0.1)
+    reached = late.squares(again.linear.error, again.x, again.size)
+    assert again.at.here == pytest.approx(reached)
+    assert (reached - again.at.square < 0.06).all()
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -60,15 +64,6 @@ def test_no_random_start_ends_lower(late, found, seed):
     other = search.minimise(late, search.with_size(late, start, size))
     assert other.cost > found.cost - 0.5
     assert other.cost == pytest.approx(found.cost, abs=0.5)
-
-
-def test_a_cost_is_what_is_simulated_at_the_optimum(late, found):
-    """No cost rests on derivatives of another point, or on a start's unfulfilled promise."""
-    again = search.stand(late, found.space, found.z, found.x, found.size)
-    assert again.cost == pytest.approx(found.cost, abs=0.1)
-    reached = late.squares(again.linear.error, again.x, again.size)
-    assert again.at.here == pytest.approx(reached)
-    assert (reached - again.at.square < 0.06).all()
 
 
 SMOOTH = ("c_sf", "c_sr", "inertia_z", "steer_lag", "tyre_relaxation.length", "scrub.yaw_damping")
@@ -191,9 +186,8 @@ def test_a_search_cut_short_is_not_whole_and_a_start_that_diverges_is_said(late,
 def _at_best(runs, base):
     augmented = make_augmented_car(base, runs)
     augmented = replace(augmented, knowledge=weak_knowledge(augmented, FEW))
-    predictor = open_predictor(augmented, runs)
-    likelihood = make_likelihood(predictor, predictor.augmented.base, predictor.guess, NOISE)
-    point = begin(Library(likelihood, FEW, ()), (), (), predictor.guess)
+    likelihood = likelihood_of(augmented, runs)
+    point = begin(Library(likelihood, FEW, ()), (), (), likelihood.predictor.guess)
     return likelihood, search.minimise(likelihood, point)
 
 

@@ -1,13 +1,9 @@
 """One report, two renderers: a page that escapes everything, and aligned lines for a terminal."""
 
-import pickle
 from dataclasses import replace
 
-import numpy as np
 from markupsafe import Markup
 
-from steerd.car_model.native import windows
-from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.report.page import render_report
 from steerd.sysid.report.report import Card, Cell, Fold, Report, Section, Table, format_table
 
@@ -43,18 +39,3 @@ def test_a_page_shows_its_parts_escapes_them_and_leaves_out_what_is_empty():
 def test_a_terminal_shows_names_to_the_left_and_figures_to_the_right():
     lines = ["name  value", "mass   3.74", "lag     0.1"]
     assert list(format_table(TABLE.pick("name", "value"))) == lines
-
-
-# Work on a cluster: compiled cars find their own code there, joblib's work goes there.
-def test_a_compiled_car_travels_without_its_code():
-    kernels = windows.make_kernels()
-    data = pickle.dumps(kernels)
-    assert len(data) < 5_000
-    again = pickle.loads(data)
-    assert again.names == kernels.names
-    held = windows.HeldCommands(np.tile([0.1, 1.5], (50, 1)), 0.01)
-    blocks = windows.make_window_blocks(np.array([[0, 50, 0]]), np.zeros(1))
-    first = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
-    parameters = np.array(DEFAULT_CAR)
-    paths = [windows.march(each, parameters, first, held, blocks, 50) for each in (kernels, again)]
-    np.testing.assert_array_equal(*(windows.view_by_window(path, 1) for path in paths))
