@@ -70,6 +70,12 @@ def test_an_effect_that_the_base_has_is_freed_once(likelihood):
     assert "lf" in free
 
 
+def test_an_effect_that_stands_for_every_free_parameter_is_looked_at(likelihood):
+    library = Library(likelihood, ("steer_gain",), (EFFECTS["steer_gain"],))
+    (look,) = screen_effects(library, begin(library, (), (), likelihood.predictor.guess))
+    assert np.isfinite(look.cost)
+
+
 LINEAR = [name for name in SAME if not EFFECTS[name].zero_gradient and name != "mass"]
 
 
