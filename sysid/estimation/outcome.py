@@ -244,10 +244,10 @@ def _encode_errors(after: Prediction, before: Prediction) -> dict[str, float]:
 def make_rows(
     start: Model[float], after: Model[float], known: Mapping[str, Estimate]
 ) -> dict[str, Row]:
-    """A row for each parameter of the car, and for each free one of the effects that it has.
-
-    What is not among the estimates was not free.
-    """
+    """A row for each parameter of the car, and for those of effects that are free or left out."""
+    gone = [effect for effect in start.effects if effect not in after.effects]
+    effects, values = (*after.effects, *gone), (*after.values, *(e.nulls for e in gone))
+    after = after._replace(effects=effects, values=values)
     own = {f"{e.name}.{p.name}": p for e in after.effects for p in e.parameters}
     units = {**{p.name: p.unit for p in PARAMETERS}, **{name: p.unit for name, p in own.items()}}
     before = {name: p.null for name, p in own.items()}
@@ -257,7 +257,7 @@ def make_rows(
         if e := known.get(name):
             sd = None if np.isnan(e.sd) else e.sd
             rows[name] = Row(value, before[name], sd, unit, True, e.identifiable, e.manoeuvre)
-        elif "." not in name:
+        elif "." not in name or value != before[name]:
             rows[name] = Row(value, before[name], None, unit, False, False)
     return rows
 

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import socket
-from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -11,7 +10,7 @@ from steerd.daemon.ipc.pipe_records import make_pipe
 
 
 @pytest.fixture
-def pipe() -> Iterator[tuple[int, int]]:
+def pipe():
     """A pipe of a run: its end to read and its end to write; a test may close either."""
     fds = make_pipe()
     yield fds
@@ -21,11 +20,11 @@ def pipe() -> Iterator[tuple[int, int]]:
 
 
 @pytest.fixture
-def make_ends() -> Iterator[Callable[[], tuple[socket.socket, socket.socket]]]:
+def make_ends():
     """Makes both ends of a socket for packets, neither of which blocks."""
     with contextlib.ExitStack() as open_ends:
 
-        def make() -> tuple[socket.socket, socket.socket]:
+        def make():
             pair = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             for end in pair:
                 open_ends.enter_context(end).setblocking(False)

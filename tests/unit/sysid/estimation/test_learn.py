@@ -15,7 +15,7 @@ from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.excitation import measure_excitation
 from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.learn import Task, learn
-from steerd.sysid.estimation.outcome import REPORTED, encode_outcome
+from steerd.sysid.estimation.outcome import REPORTED, encode_outcome, make_rows
 from steerd.sysid.estimation.validation import HORIZONS, errors_at, trace_windows
 from steerd.sysid.report.design_comparison import compare_designs
 from steerd.sysid.report.page import render_report
@@ -109,8 +109,7 @@ def test_the_report_needs_nothing_else(outcome, truth, monkeypatch):
 def test_the_papers_method_tells_its_spread(make_circles):
     runs = tuple(make_circles(4, 2.5))
     asked = prep.FitOptions(method="paper", starts=2, iterations=4)
-    task = Task(runs[:3], DEFAULT, asked, runs[3:])
-    outcome = learn(task, lambda: 0.0)
+    outcome = learn(Task(runs[:3], DEFAULT, asked, runs[3:]), lambda: 0.0)
     assert len(outcome.searches) == 2
     assert outcome.rows["c_sf"].sd > 0.0
     assert not outcome.rows["c_sf"].identifiable
@@ -216,10 +215,12 @@ def test_play_that_no_car_has_by_itself_is_selected_where_there_is_some(make_dri
 
 
 def test_a_car_that_misses_much_is_said_to(make_drive, truth):
-    run = make_drive(truth._replace(effects=(BENT,), values=((0.45,),)), 20.0, 5)
+    bent = truth._replace(effects=(BENT,), values=((0.45,),))
+    run = make_drive(bent, 20.0, 5)
     none = (*prep.held_names(ASKED), BENT.name, PLAY.name)
     outcome = learn(Task((run,), truth, ASKED, free=MANNERS_FREE, held=none), lambda: 0.0)
     assert any("`steerd diagnose` looks for it" in note for note in outcome.notes)
+    assert make_rows(bent, truth, {})["steer_asymmetry.asymmetry"][:3] == (0.0, 0.45, None)
 
 
 def test_only_play_needs_a_long_past_and_is_asked_of_drives_that_rest(bent):
