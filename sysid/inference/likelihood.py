@@ -125,6 +125,7 @@ class Likelihood:
     # (W, D, 7) derivatives by the starts about the trajectories that the responses are about,
     # rotated: what is not known of a start is taken from them alone
     by_start: Array
+    log_det: Array  # (W,) half the log determinant of the healthy covariance
     _volumes: dict[float, Array] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -207,7 +208,7 @@ class Likelihood:
         if size not in self._volumes:
             d = self.start_curvature(self.by_start, size)[1]
             logs = np.linalg.slogdet(d)[1] - np.log(self.weights(size)).sum(axis=1)
-            self._volumes[size] = np.asarray(0.5 * logs)
+            self._volumes[size] = np.asarray(0.5 * logs + self.log_det)
         return self._volumes[size]
 
     def best_size(self, at: Rotated, error: Array, x: Array, least: float = 0.0) -> float:
@@ -235,10 +236,8 @@ def take_some(likelihood: Likelihood, chosen: NDArray[np.bool_]) -> Likelihood:
     predictor = likelihood.predictor.take(chosen)
     width = predictor.padded.there.shape[1]
     rotation = likelihood.rotation[chosen][:, :, :width]
-    return Likelihood(
-        predictor, rotation, likelihood.spectrum[chosen], likelihood.pushed[chosen],
-        likelihood.by_start[chosen],
-    )  # fmt: skip
+    parts = (likelihood.spectrum, likelihood.pushed, likelihood.by_start, likelihood.log_det)
+    return Likelihood(predictor, rotation, *(part[chosen] for part in parts))
 
 
 def make_likelihood(predictor: Predictor, parameters: Array, x: Array, noise: Noise) -> Likelihood:
@@ -264,4 +263,5 @@ def make_likelihood(predictor: Predictor, parameters: Array, x: Array, noise: No
     own = ((lower @ instruments) * lower).sum(axis=2)
     pushed = ((1.0 - own) * there).sum(axis=1) / there.sum(axis=1)
     by_start = rotation @ predictor.by_starts(parameters, x)[1]
-    return Likelihood(predictor, rotation, np.maximum(spectrum, 0.0), pushed, by_start)
+    log_det = -(np.log(np.diagonal(lower, axis1=1, axis2=2)) * there).sum(axis=1)
+    return Likelihood(predictor, rotation, np.maximum(spectrum, 0.0), pushed, by_start, log_det)
