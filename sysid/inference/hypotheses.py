@@ -36,6 +36,8 @@ _LOOKS = (1.0, 0.3, 0.1)
 """Shares of the starting size at which a look compares hypotheses."""
 _ROOM = 0.4
 """A look that promises less than this share of what a name needs is not followed."""
+_ANYHOW = 2
+"""The most promising effects, brought to their optimum even where the first is clearly better."""
 _WORSE = 0.5
 """Nats by which a hypothesis counts as worse than another ..."""
 _HOPELESS = 1000.0
@@ -93,14 +95,13 @@ class _Search:
     def grow(self, start: Point, most: int) -> None:
         """A hypothesis, its base begun at the prior; the `most` likeliest with an effect more."""
         self.keep(self._optimum(lambda: start))
-        looks = screen_effects(self.library, start)
+        looks = screen_effects(self.library, start, far=leaves_gap(start))
         self.untested |= {look.effect for look in looks if not np.isfinite(look.cost)}
         count = len(start.space.effects)
         needed = price(self.library, count + 1) - price(self.library, count)
         # `needed`: what a name must gain before its odds are even, not tempered [nats]
         least = _ROOM * needed * self.library.design_effect(0.3 * start.size)
-        chosen = [look for look in looks if look.gain > least][:most]
-        self._fit(start, chosen)
+        self._fit(start, [look for look in looks if look.gain > least][:most], _ANYHOW)
         self.exchange()
         self._look_again(start, needed, most)
 
@@ -110,29 +111,29 @@ class _Search:
             self.grown.add(frozenset(names))
             self.grow(_again(self.library, names, point), _FITTED_FURTHER)
 
-    def _fit(self, start: Point, chosen: Sequence["Candidate"]) -> None:
-        """A hypothesis with one effect more, from the values of each look."""
-        incumbent = min((point.cost for point in self.pool.values()), default=np.inf)
-        for look in chosen:
-            point = self._optimum(partial(_with_effect, self.library, start, look), incumbent)
-            self.keep(point)
-            incumbent = min(incumbent, np.inf if point is None else point.cost)
+    def _fit(self, start: Point, chosen: Sequence["Candidate"], anyhow: int = 0) -> None:
+        """A hypothesis with one effect more, from the values of each look, the likeliest first.
+
+        After so many none that expects to stay clearly behind what was found.
+        """
+        for number, look in enumerate(chosen):
+            lowest = min((point.cost for point in self.pool.values()), default=np.inf)
+            if number < anyhow or look.cost < lowest + BEHIND:
+                self.keep(self._optimum(partial(_with_effect, self.library, start, look), lowest))
 
     def _look_again(self, start: Point, needed: float, most: int) -> None:
         """The same from the hypothesis' optimum, for what promises more there than was found.
 
-        A small effect does not show under a larger discrepancy that the base at its prior needs.
+        A small effect does not show under a large discrepancy that the base at its prior needs.
         """
         before = self.pool.get(frozenset(start.space.effects))
-        if before is None or before.size >= start.size:
+        if before is None or before.size >= start.size or not leaves_gap(start):
             return
         least = _ROOM * needed * self.library.design_effect(before.size)
-        names, chosen = start.space.effects, []
-        lowest = min(point.cost for point in self.pool.values())
+        chosen = []
         for look in screen_effects(self.library, before, far=False):
-            known = self.pool.get(frozenset([*names, look.effect]))
-            better = known is None or look.cost < known.cost - _WORSE
-            if better and look.gain > least and look.cost < lowest + BEHIND:
+            known = self.pool.get(frozenset([*start.space.effects, look.effect]))
+            if look.gain > least and (known is None or look.cost < known.cost - _WORSE):
                 chosen.append(look)
         self._fit(before, chosen[:most])
         self.exchange()
@@ -227,9 +228,8 @@ def explain(
     found = search.hypotheses()
     share = softmax([h.log_odds for h in found])
     ranked = [replace(h, probability=float(p)) for h, p in zip(found, share, strict=True)]
-    untested = tuple(sorted(search.untested))
     before, after = (covering_size(library.likelihood, p) for p in (start, ranked[0].point))
-    return Findings(tuple(ranked), start, untested, (before, after))
+    return Findings(tuple(ranked), start, tuple(sorted(search.untested)), (before, after))
 
 
 def is_lost(point: Point) -> bool:
