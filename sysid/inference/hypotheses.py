@@ -101,7 +101,7 @@ class _Search:
         needed = price(self.library, count + 1) - price(self.library, count)
         # `needed`: what a name must gain before its odds are even, not tempered [nats]
         least = _ROOM * needed * self.library.design_effect(0.3 * start.size)
-        self._fit(start, [look for look in looks if look.gain > least][:most], _ANYHOW)
+        self._fit(start, [look for look in looks if look.gain > least][:most])
         self.exchange()
         self._look_again(start, needed, most)
 
@@ -111,15 +111,16 @@ class _Search:
             self.grown.add(frozenset(names))
             self.grow(_again(self.library, names, point), _FITTED_FURTHER)
 
-    def _fit(self, start: Point, chosen: Sequence["Candidate"], anyhow: int = 0) -> None:
+    def _fit(self, start: Point, chosen: Sequence["Candidate"]) -> None:
         """A hypothesis with one effect more, from the values of each look, the likeliest first.
 
-        After so many none that expects to stay clearly behind what was found.
+        Where one leaves no gap, none that expects to stay clearly behind it is searched.
         """
         for number, look in enumerate(chosen):
-            lowest = min((point.cost for point in self.pool.values()), default=np.inf)
-            if number < anyhow or look.cost < lowest + BEHIND:
-                self.keep(self._optimum(partial(_with_effect, self.library, start, look), lowest))
+            top = min([start, *self.pool.values()], key=lambda point: point.cost)
+            behind = number >= _ANYHOW and look.cost > top.cost + BEHIND
+            if not behind or leaves_gap(top):
+                self.keep(self._optimum(partial(_with_effect, self.library, start, look), top.cost))
 
     def _look_again(self, start: Point, needed: float, most: int) -> None:
         """The same from the hypothesis' optimum, for what promises more there than was found.
@@ -130,10 +131,11 @@ class _Search:
         if before is None or before.size >= start.size or not leaves_gap(start):
             return
         least = _ROOM * needed * self.library.design_effect(before.size)
-        chosen = []
+        chosen, lowest = [], min(point.cost for point in self.pool.values())
         for look in screen_effects(self.library, before, far=False):
             known = self.pool.get(frozenset([*start.space.effects, look.effect]))
-            if look.gain > least and (known is None or look.cost < known.cost - _WORSE):
+            better = known is None or look.cost < known.cost - _WORSE
+            if better and look.gain > least and look.cost < lowest + BEHIND:
                 chosen.append(look)
         self._fit(before, chosen[:most])
         self.exchange()

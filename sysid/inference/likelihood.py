@@ -227,8 +227,7 @@ class Likelihood:
 
     def share(self, size: float) -> float:
         """Share of the variance that a discrepancy of this size is, mean over all rows."""
-        rows = self.predictor.padded.there.sum()
-        return float((1.0 - self.weights(size)).sum() / rows)
+        return float((1.0 - self.weights(size)).sum() / self.predictor.padded.there.sum())
 
 
 def take_some(likelihood: Likelihood, chosen: NDArray[np.bool_]) -> Likelihood:

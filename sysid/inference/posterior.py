@@ -108,6 +108,5 @@ def log_mean(data: Array, pull: Array, mean: Array, covariance: Array) -> float:
 
 def log_share_beyond(value: float, sd: float, null: float, least: float) -> float:
     """Log probability that a normal value differs from its null by `least` or more."""
-    away = abs(value - null)
-    sd = max(sd, 1e-12)
+    away, sd = abs(value - null), max(sd, 1e-12)
     return float(np.log(max(ndtr((away - least) / sd) + ndtr((-away - least) / sd), 1e-12)))
