@@ -94,7 +94,8 @@ class _Search:
 
     def grow(self, start: Point, most: int) -> None:
         """A hypothesis, its base begun at the prior; the `most` likeliest with an effect more."""
-        self.keep(self._optimum(lambda: start))
+        if start.space.effects or not self.pool:  # the base's own optimum may be known
+            self.keep(self._optimum(lambda: start))
         looks = screen_effects(self.library, start, far=leaves_gap(start))
         self.untested |= {look.effect for look in looks if not np.isfinite(look.cost)}
         count = len(start.space.effects)

@@ -43,9 +43,8 @@ def design_effect(likelihood: Likelihood, size: float, controlled: bool = False)
         controlled: whether what repeats in healthy drives too is compared with them: then only the
             discrepancy is common to windows, else a share of the ordinary pushes counts as well.
     """
-    repeats = 0.0 if controlled else c.REPEATS
-    pushed, unknown = repeats * float(likelihood.pushed.mean()), likelihood.share(size)
-    return 2.0 + (len(likelihood.pushed) - 1) * (pushed + (1.0 - pushed) * unknown)
+    pushed = 0.0 if controlled else c.REPEATS * float(likelihood.pushed.mean())
+    return 2.0 + (len(likelihood.pushed) - 1) * (pushed + (1.0 - pushed) * likelihood.share(size))
 
 
 def posterior_of(point: Point, temper: float) -> Posterior:
