@@ -34,8 +34,6 @@ _LADDER = (-1.5, -0.5, 0.5, 1.5)
 """Values that are tried, in prior scales of the parameter off what the base has."""
 _LOOKS = (1.0, 0.3, 0.1)
 """Shares of the starting size at which a look compares hypotheses."""
-_ROOM = 0.4
-"""A look that promises less than this share of what a name needs is not followed."""
 _ANYHOW = 2
 """The most promising effects, brought to their optimum even where the first is clearly better."""
 _WORSE = 0.5
@@ -101,7 +99,7 @@ class _Search:
         count = len(start.space.effects)
         needed = price(self.library, count + 1) - price(self.library, count)
         # `needed`: what a name must gain before its odds are even, not tempered [nats]
-        least = _ROOM * needed * self.library.design_effect(0.3 * start.size)
+        least = needed * self.library.design_effect(0.3 * start.size)
         self._fit(start, [look for look in looks if look.gain > least][:most])
         self.exchange()
         self._look_again(start, needed, most)
@@ -131,7 +129,7 @@ class _Search:
         before = self.pool.get(frozenset(start.space.effects))
         if before is None or before.size >= start.size or not leaves_gap(start):
             return
-        least = _ROOM * needed * self.library.design_effect(before.size)
+        least = needed * self.library.design_effect(before.size)
         chosen, lowest = [], min(point.cost for point in self.pool.values())
         for look in screen_effects(self.library, before, far=False):
             known = self.pool.get(frozenset([*start.space.effects, look.effect]))

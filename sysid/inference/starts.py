@@ -50,21 +50,23 @@ def settle_starts(
             break
         if moving.mean() < _FEWER:
             active, part, square = active[moving], take_some(part, moving), square[moving]
-            curved, pull = curved[moving], pull[moving]
+            curved, pull, width = curved[moving], pull[moving], part.rotation.shape[2]
+            error, by_x = error[moving, :width], by_x[moving, :width]
         diagonal = damping[active, None] * np.diagonal(curved, axis1=1, axis2=2)
         damped = curved + diagonal[:, :, None] * np.eye(curved.shape[1])
         step = np.linalg.solve(damped, pull[:, :, None])[:, :, 0]
-        off, _ = part.predictor.errors(parameters, x[active] + step)
+        off, by_tried = part.predictor.by_starts(parameters, x[active] + step)
         gained = square - part.squares(off, x[active] + step, size)
         expected = (step * (pull + diagonal * step)).sum(axis=1)
         better = gained > 0.0
         x[active[better]] += step[better]
+        error = np.where(better[:, None], off, error)
+        by_x = np.where(better[:, None, None], by_tried, by_x)
         # Nielsen (1999): damping by how well the last step kept its promise
         kept = np.clip(gained / np.maximum(expected, 1e-300), 0.0, 1.0)
         softer = np.maximum(1.0 / 3.0, 1.0 - (2.0 * kept - 1.0) ** 3)
         damping[active] *= np.where(better, softer, harder[active])
         harder[active] = np.where(better, 2.0, 2.0 * harder[active])
-        error, by_x = part.predictor.by_starts(parameters, x[active])
     return x, left
 
 

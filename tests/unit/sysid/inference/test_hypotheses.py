@@ -8,6 +8,7 @@ import pytest
 
 from steerd.car_model.effects import EFFECTS
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference import hypotheses
 from steerd.sysid.inference.augmented_car import BasePrior, Control, make_augmented_car
 from steerd.sysid.inference.hypotheses import begin, explain, screen_effects
 from steerd.sysid.inference.library import Library, carry
@@ -157,6 +158,14 @@ def test_the_hidden_effect_is_named_and_no_second_invented(late):
     assert found.best.point.parameters[place] == pytest.approx(0.03, abs=0.003)
 
 
+def test_where_an_effect_leaves_no_gap_none_clearly_behind_it_is_searched(late, monkeypatch):
+    library, found = late
+    monkeypatch.setattr(hypotheses, "leaves_gap", lambda point: True)
+    patient = explain(library)
+    assert patient.best.effects == found.best.effects
+    assert len(patient.hypotheses) > len(found.hypotheses)
+
+
 def test_two_hidden_effects_are_both_named(both):
     library, found = both
     assert set(found.best.effects) == {"steer_delay", "speed_scale"}
@@ -170,7 +179,7 @@ def test_two_causes_are_tried_where_neither_alone_outweighs_none(both, monkeypat
     """Two large ones: with either the other still has most windows far off."""
     library, found = both
     single = max(h.log_odds for h in found.hypotheses if len(h.effects) == 1)
-    against = 0.5 * (single + found.hypotheses[0].log_odds) - found.null.log_odds
+    against = single + 1.0 - found.null.log_odds
     monkeypatch.setattr(c, "GAP_ODDS", c.GAP_ODDS * np.exp(-against))
     assert explain(library).hypotheses[0].effects == found.best.effects
 
