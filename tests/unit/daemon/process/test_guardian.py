@@ -24,6 +24,7 @@ from steerd.daemon.process.guard import START_NS, ProcessGuard, find_pause, make
 from steerd.daemon.process.guardian import BRAKE_NS, PERIOD_NS, brake, wait_for_fault
 from steerd.daemon.process.heartbeat import STALE_NS, HeartbeatPage, Lifeline
 
+OUTGOING_BYTES, PAUSE_NS = heartbeat.OUTGOING_BYTES, heartbeat.PAUSE_NS
 BRAKE, MOTION = b"\x02\x05BRAKE\x03", b"\x02\x05MOVE!\x03"  # as long as each other
 MS = 1_000_000
 ROOT = Path(__file__).resolve().parents[4]
@@ -76,14 +77,12 @@ def test_the_page_tells_when_the_guardian_itself_stood_still(page):
     for k in range(3):
         page.watch(start + k * PERIOD_NS)
     now = start + 2 * PERIOD_NS
-    assert find_pause(page, now + heartbeat.PAUSE_NS) == (0, 0)
-    assert find_pause(page, now + heartbeat.PAUSE_NS + 1) == (now, now + heartbeat.PAUSE_NS + 1), (
-        "it goes on"
-    )
+    assert find_pause(page, now + PAUSE_NS) == (0, 0)
+    assert find_pause(page, now + PAUSE_NS + 1) == (now, now + PAUSE_NS + 1), "it goes on"
     page.watch(now + 45 * MS)
     page.watch(now + 55 * MS)
     assert find_pause(page, now + 56 * MS) == (now, now + 45 * MS)
-    page.watch(now + 55 * MS + heartbeat.PAUSE_NS)
+    page.watch(now + 55 * MS + PAUSE_NS)
     assert find_pause(page, now + 71 * MS) == (now, now + 45 * MS), "no pause: its ordinary sleep"
 
 
@@ -96,24 +95,21 @@ def test_core_may_write_only_fresh_ticks_and_never_after_a_trip(page):
     assert not page.may_write(0, 0)
 
 
-@given(st.binary(max_size=heartbeat.OUTGOING_BYTES), st.binary(min_size=1, max_size=20))
+@given(st.binary(max_size=OUTGOING_BYTES), st.binary(min_size=1, max_size=20))
 def test_what_a_core_has_staged_is_a_brake_frame_once_the_guardian_took_over(wire, frame):
     core, watcher = make_sides()
     core.write_heartbeat(7, True)
     staged = core.stage(wire)
     assert bytes(staged) == wire
     watcher.trip(9, frame)
-    assert bytes(staged) == frame.ljust(heartbeat.OUTGOING_BYTES, b"\0")[: len(wire)]
+    assert bytes(staged) == frame.ljust(OUTGOING_BYTES, b"\0")[: len(wire)]
     assert (core.words.heartbeat_ns, core.words.tripped_ns, core.words.engaged) == (7, 9, True)
 
 
 def test_a_frame_that_does_not_fit_is_refused(page):
-    assert (
-        bytes(page.stage(bytes([7]) * heartbeat.OUTGOING_BYTES))
-        == bytes([7]) * heartbeat.OUTGOING_BYTES
-    )
+    assert bytes(page.stage(bytes([7]) * OUTGOING_BYTES)) == bytes([7]) * OUTGOING_BYTES
     with pytest.raises(ValueError, match="257 bytes: at most 256"):
-        page.stage(bytes(heartbeat.OUTGOING_BYTES + 1))
+        page.stage(bytes(OUTGOING_BYTES + 1))
 
 
 @pytest.mark.parametrize(("age", "faulty"), [(STALE_NS, False), (STALE_NS + 1, True)])
@@ -449,16 +445,15 @@ def test_every_kind_of_death_is_heard_of_and_a_stopped_holder_is_not_dead(held, 
     assert holder.wait() == -how
 
 
-@pytest.mark.parametrize("held", [512], indirect=True)
+@pytest.mark.parametrize("held", [128], indirect=True)
 def test_the_lifeline_does_not_wait_for_the_memory_to_be_taken_apart(held):
     holder, _, line = held
     gone = select.poll()
     gone.register(os.pidfd_open(holder.pid), select.POLLIN)
     holder.kill()
     assert line.poll(5_000)
-    heard_ns = time.monotonic_ns()
+    assert not gone.poll(0), "the kernel is still at it"
     assert gone.poll(5_000)
-    assert time.monotonic_ns() >= heard_ns
 
 
 @pytest.mark.parametrize("mutex", ["there is none", "nobody holds it"])
