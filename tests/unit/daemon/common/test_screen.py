@@ -11,17 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from steerd.daemon.common import screen
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.notebook import notebook_progress, speaking_of_arguments
-from steerd.daemon.common.screen import (
-    clean,
-    join_words,
-    show_progress,
-    shown,
-    watched,
-    wrap,
-    wrap_command,
-)
+from steerd.daemon.common.screen import clean, join_words, shown, watched, wrap, wrap_command
 from steerd.daemon.common.written import check_outputs, write_output, write_outputs
 
 
@@ -62,7 +55,7 @@ def test_the_step_stands_beside_the_bar(monkeypatch):
     monkeypatch.setattr(sys, "stderr", seen)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "120")
-    with show_progress("identifying", 2.0) as advance:
+    with screen.show_progress("identifying", 2.0) as advance:
         advance(1.0, "learning the noise")
     assert "identifying: learning the noise" in seen.getvalue()
     assert "50%" in seen.getvalue()

@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import tomllib
-from collections.abc import Callable
 from dataclasses import replace
 from hashlib import sha256
 from math import nan
@@ -16,25 +15,9 @@ from steerd.car_model.car_file import default_car_path, load_car, parse_car
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, make_pipe, pack_record
 from steerd.daemon.learning import feed, kept, reported
-from steerd.daemon.learning.feed import (
-    PAUSE_NS,
-    Proposals,
-    Wiring,
-    make_feed,
-    make_model,
-    make_record,
-    make_sample,
-    read_memory,
-)
+from steerd.daemon.learning.feed import PAUSE_NS, Proposals, Wiring, make_model, read_memory
 from steerd.daemon.learning.kept import DAY_NS, About, Keeper, KeptError, format_kept, parse_kept
-from steerd.daemon.learning.reported import (
-    ReportedChange,
-    ReportedValue,
-    encode_model,
-    format_model,
-    gap_text,
-    pack,
-)
+from steerd.daemon.learning.reported import ReportedChange, ReportedValue, gap_text, pack
 from steerd.daemon.loop.adapting import REFUSED, make_design, make_no_design, read_design
 from steerd.daemon.process.bus_operator import read_model
 from steerd.daemon.process.children import learnt_page, recall_learnt
@@ -58,39 +41,28 @@ NOON = 1_763_812_800_000_000_000
 MONO = 100_000_000_000
 
 
-@pytest.fixture
-def make_change() -> Callable[..., ReportedChange]:
+def make_change(verdict="named", alternatives=()):
     """A change 40 s before noon; a named one is a steering bias."""
-
-    def make(verdict: str = "named", alternatives: tuple[str, ...] = ()) -> ReportedChange:
-        since, noticed = MONO - 40_000_000_000, MONO - 39_000_000_000
-        if verdict != "named":
-            return ReportedChange(since, noticed, verdict, "", nan, (), ())
-        bias = ReportedValue("bias", 0.0213, 0.0021, "rad")
-        return ReportedChange(since, noticed, verdict, "steer_bias", 0.97, alternatives, (bias,))
-
-    return make
+    since, noticed = MONO - 40_000_000_000, MONO - 39_000_000_000
+    if verdict != "named":
+        return ReportedChange(since, noticed, verdict, "", nan, (), ())
+    bias = ReportedValue("bias", 0.0213, 0.0021, "rad")
+    return ReportedChange(since, noticed, verdict, "steer_bias", 0.97, alternatives, (bias,))
 
 
-@pytest.fixture
-def make_report() -> Callable[..., m.Model]:
+def make_report(verdict="none", *changes):
     """A report at noon of a car without changes, or with these."""
-
-    def make(verdict: str = "none", *changes: ReportedChange) -> m.Model:
-        values = [
-            ReportedValue("steer_gain", 0.98, 0.012, "1", True),
-            ReportedValue("inertia_z", 0.046, nan, "kg m^2", False),
-        ]
-        model = make_model(State(seen=120), MONO, NOON - MONO, 3, {})
-        return replace(model, verdict=verdict, details=pack(values, list(changes)))
-
-    return make
+    values = [
+        ReportedValue("steer_gain", 0.98, 0.012, "1", True),
+        ReportedValue("inertia_z", 0.046, nan, "kg m^2", False),
+    ]
+    model = make_model(State(seen=120), MONO, NOON - MONO, 3, {})
+    return replace(model, verdict=verdict, details=pack(values, list(changes)))
 
 
-# The page beside the car file: it comes back as it was, or is refused in one line.
 ABOUT = About("car1", "ab" * 32, "1.0", 'a "wet" one.mcap')
 
-report = pytest.fixture(lambda make_report, make_change: make_report("named", make_change()))
+report = pytest.fixture(lambda: make_report("named", make_change()))
 page = pytest.fixture(lambda report: format_kept(ABOUT, report))
 
 
@@ -222,8 +194,8 @@ def test_what_one_run_keeps_the_next_begins_with(plan, report, capsys):
     assert capsys.readouterr().err == ""
     job = json.loads(json.dumps(second._asdict()))
     memory = read_memory(job["memory"])
-    feed = make_feed(plan.settings.file, Wiring(0, plan.settings.scaling), memory)
-    assert [*feed.learner.remembered] == ["steer_gain"]
+    made = feed.make_feed(plan.settings.file, Wiring(0, plan.settings.scaling), memory)
+    assert [*made.learner.remembered] == ["steer_gain"]
     assert plan.settings.file.path.read_text() == default_car_path().read_text()
 
 
@@ -278,25 +250,25 @@ def test_a_page_that_is_torn_or_cannot_be_read_is_named_and_left_out(plan, repor
     ("unexplained", "since 11:59:20: something changed that no effect explains"),
     ("none", "no change of the car"), ("learning", "learning the car"),
 ])  # fmt: skip
-def test_a_change_is_told_with_its_time_and_odds(make_report, make_change, verdict, words):
+def test_a_change_is_told_with_its_time_and_odds(verdict, words):
     changes = () if verdict in ("none", "learning") else (make_change(verdict),)
     assert gap_text(make_report(verdict, *changes)).replace("\u00a0", " ") == words
 
 
-def test_the_screen_fits_80_columns_and_hides_what_is_not_identifiable(make_report, make_change):
+def test_the_screen_fits_80_columns_and_hides_what_is_not_identifiable():
     change = make_change(alternatives=("steer_gain", "mocap_yaw", "cornering_stiffness"))
     report = make_report("named", change)
     said = "; this drive cannot distinguish it from steer_gain, mocap_yaw, cornering_stiffness"
     assert gap_text(report).endswith(said)
-    lines = format_model(report)
+    lines = reported.format_model(report)
     assert max(map(len, lines)) <= 80
     assert "  steer_gain  0.980 ± 0.012" in lines
     assert "not identifiable here: inertia_z" in lines
 
 
-def test_json_has_the_gap_and_the_model(make_report, make_change):
+def test_json_has_the_gap_and_the_model():
     report = make_report("named", make_change(alternatives=("mocap_yaw",)))
-    values = json.loads(json.dumps(encode_model(report), allow_nan=False))
+    values = json.loads(json.dumps(reported.encode_model(report), allow_nan=False))
     gap = values["gap"]
     assert gap["verdict"] == "named"
     assert gap["since_s"] == pytest.approx(m.stamp_ns(report.header) * 1e-9 - 40.0)
@@ -306,7 +278,7 @@ def test_json_has_the_gap_and_the_model(make_report, make_change):
     gain, inertia = values["model"]["steer_gain"], values["model"]["inertia_z"]
     assert gain == {"value": 0.98, "sd": 0.012, "unit": "1", "identifiable": True}
     assert inertia == {"value": 0.046, "sd": None, "unit": "kg m^2", "identifiable": False}
-    unnamed = encode_model(make_report("changed", make_change("changed")))
+    unnamed = reported.encode_model(make_report("changed", make_change("changed")))
     assert json.loads(json.dumps(unnamed, allow_nan=False))["gap"]["causes"] == []
 
 
@@ -315,7 +287,7 @@ def test_json_has_the_gap_and_the_model(make_report, make_change):
     (123.4, 42.0, "123 ± 42 rad"), (0.5, float("nan"), "0.5 rad"),
 ])  # fmt: skip
 def test_numbers_have_the_digits_of_their_error(value, sd, shown):
-    text = reported.with_sd(reported.ReportedValue("bias", value, sd, "rad"))
+    text = reported.with_sd(ReportedValue("bias", value, sd, "rad"))
     assert text.replace("\u00a0", " ") == shown
 
 
@@ -324,7 +296,7 @@ def record(report):
     return PipeRecord(topics.MODEL, 0, 1, 1, encode(report))
 
 
-def test_the_dashboard_says_what_is_learnt_and_a_change_once(make_report, make_change):
+def test_the_dashboard_says_what_is_learnt_and_a_change_once():
     board = Dashboard("car1")
     assert "gap" not in printed(board.render())
     assert board.take(record(make_report("none"))) is None
@@ -340,7 +312,7 @@ def test_the_dashboard_says_what_is_learnt_and_a_change_once(make_report, make_c
     assert list(board.events) == [line, named]
 
 
-def test_the_gateway_publishes_reports_and_answers_with_the_last(make_report, pipe, ends):
+def test_the_gateway_publishes_reports_and_answers_with_the_last(pipe, ends):
     hub, (read_fd, write_fd) = LocalHub(), pipe
     listener, gateway = LocalBus(hub), Gateway(LocalBus(hub), "car1", None)
     heard = listener.subscribe(make_key("car1", topics.MODEL), 8)
@@ -349,7 +321,7 @@ def test_the_gateway_publishes_reports_and_answers_with_the_last(make_report, pi
     assert read_model(listener, "car2") is None, "of another version"
     report_fd, report_end = make_pipe()
     report = make_report("none")
-    os.write(report_end, pack_record(make_record(report, 0, 1)))
+    os.write(report_end, pack_record(feed.make_record(report, 0, 1)))
     os.write(write_fd, b"\0")  # wakes it; no whole record
     os.close(report_end)
     os.close(write_fd)
@@ -451,4 +423,4 @@ def actuation(mode):
     (topics.WHEEL, at_s(4, m.WheelSpeed, t_ns=4 * S, speed=1.25), Rolled(4.0, 1.25)),
 ])  # fmt: skip
 def test_a_message_counts_when_it_was_valid_in_the_sessions_own_scaling(topic, message, sample):
-    assert make_sample(WIRING, topic, message) == sample
+    assert feed.make_sample(WIRING, topic, message) == sample

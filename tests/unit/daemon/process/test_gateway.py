@@ -31,18 +31,8 @@ POSE_KEY = "lab/pose"
 TICK = encode(m.Tick(m.make_header(1, m.BODY), 1, 2, 3, 4, 0))
 
 hub = pytest.fixture(lambda: LocalHub())
-
-
-@pytest.fixture
-def gateway(hub, request):
-    """It listens for poses where the test says."""
-    return Gateway(LocalBus(hub), "car1", getattr(request, "param", None))
-
-
-@pytest.fixture
-def other(hub):
-    """Somebody else on the bus."""
-    return LocalBus(hub)
+gateway = pytest.fixture(lambda hub: Gateway(LocalBus(hub), "car1", POSE_KEY))
+other = pytest.fixture(lambda hub: LocalBus(hub))  # somebody else on the bus
 
 
 def packets(core):
@@ -104,7 +94,6 @@ def ask(kind, seq=1, lease_id=7, operator="ada"):
 ARM, STOP, ESTOP, ALIVE = (m.RequestKind[k] for k in ("ARM", "STOP", "ESTOP", "KEEPALIVE"))
 
 
-@pytest.mark.parametrize("gateway", [POSE_KEY], indirect=True)
 def test_requests_and_poses_go_to_the_core_stops_first(other, arriving):
     drive = encode(m.DriveCommand(m.make_header(1, m.BODY), 5, 0, 1, 2, 100, 0.1, 1.0))
     other.publish(make_key("car1", topics.OPERATOR), ask(ARM, lease_id=0))
@@ -196,13 +185,10 @@ def beat_at(path: RemotePath, t_ns: int, lease_id: int = 0):
     return replace(path.make_beat(t_ns, 0), lease_id=lease_id)
 
 
-def test_heartbeats_leave_twenty_times_a_second():
+def test_heartbeats_leave_twenty_times_a_second_and_a_gateway_that_falls_silent_is_found():
     path = RemotePath(BOOT_ID)
     sent = [t for t in range(0, 1000 * MS, 10 * MS) if path.make_beat(t, 0) is not None]
     assert sent == list(range(0, 1000 * MS, BEAT_NS))
-
-
-def test_a_gateway_that_has_answered_and_falls_silent_is_found():
     assert not RemotePath(BOOT_ID).is_silent(False, LIMIT_S, 60_000 * MS), "it is still starting"
     for t_ms, silent in ((1000, False), (1001, True)):
         assert make_path().is_silent(False, LIMIT_S, t_ms * MS + 1) is silent
@@ -338,7 +324,7 @@ def test_poses_are_listened_for_where_the_address_says(mocap, key):
 
 
 # Standard ROS messages: made from the car's own, at most 50 of each kind per second.
-def test_odometry_has_the_pose_and_the_velocity_in_the_body_frame():
+def test_odometry_has_the_velocity_in_the_body_frame_and_telemetry_may_have_no_fault_code():
     moving = {"speed": 2.0, "slip_angle": 0.1, "yaw_rate": 0.5, "yaw_sd": 0.2}
     state = blank(m.StateMessage, x=1.0, y=2.0, yaw=pi / 2, **moving)
     made = make_odometry(state)
@@ -349,9 +335,6 @@ def test_odometry_has_the_pose_and_the_velocity_in_the_body_frame():
     assert twist.angular.z == 0.5
     assert made.pose.covariance[35] == pytest.approx(0.04)
     assert made.child_frame_id == m.BODY
-
-
-def test_telemetry_without_a_fault_code_has_none():
     made = make_vesc_state(blank(m.VescTelemetry, erpm=4000, fault_code=-1, temp_fet=nan))
     assert (made.state.speed, made.state.fault_code) == (4000.0, 0)
 

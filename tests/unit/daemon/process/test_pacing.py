@@ -179,26 +179,14 @@ def test_real_time_for_a_while_leaves_nothing_behind():
 START = 10**12
 
 
-def cause_of(late_ms, pause_ms, stolen_ms=0):
-    """The flag of a tick late from 0 to `late_ms`, with the guardian's pause from and to."""
-    pause = pause_ms and tuple(START + round(t * MS) for t in pause_ms)
-    return find_cause((START, START + late_ms * MS), stolen_ms * MS, pause)
-
-
-@pytest.mark.parametrize("slept_ms", [0, 3, 9.9])
-@pytest.mark.parametrize("due_ms", [0, 5, 9.9])
-@pytest.mark.parametrize("stall_ms", [31, 40, 60, 200])
-def test_a_stall_of_everything_is_the_machines(stall_ms, due_ms, slept_ms):
-    """The stall begins `due_ms` before the core's tick, `slept_ms` after the guardian's beat."""
-    pause_ms = (-due_ms - slept_ms, stall_ms - due_ms + 1)
-    assert cause_of(round(stall_ms - due_ms), pause_ms) == Flag.ALL_LATE
-
-
 JUST = LEAST_NS // MS
 NEVER = -START // MS, -START // MS  # no pause, as the page says it: from 0 to 0 [ns]
 
 
 @pytest.mark.parametrize(("late_ms", "pause_ms", "stolen_ms", "flag"), [
+    # A stall of all, which began `due` before the core's tick, `slept` after the guardian's beat.
+    *((round(stall - due), (-due - slept, stall - due + 1), 0, Flag.ALL_LATE)
+      for stall in (31, 40, 60, 200) for due in (0, 5, 9.9) for slept in (0, 3, 9.9)),
     # A pause at another time, or none: the guardian ran all the time.
     *((41, pause, 0, Flag.ALONE_LATE) for pause in ((-900, -850), (-40, 0), (60, 90), NEVER)),
     (JUST, NEVER, 0, Flag.ALONE_LATE), (41, None, 0, 0),  # nobody saw it
@@ -211,7 +199,9 @@ NEVER = -START // MS, -START // MS  # no pause, as the page says it: from 0 to 0
     (40, (-5, 45), 19, Flag.ALL_LATE),
 ])  # fmt: skip
 def test_who_made_a_tick_late(late_ms, pause_ms, stolen_ms, flag):
-    assert cause_of(late_ms, pause_ms, stolen_ms) == flag
+    """It is late from 0 on; the guardian's pause is from and to."""
+    pause = pause_ms and tuple(START + round(t * MS) for t in pause_ms)
+    assert find_cause((START, START + late_ms * MS), stolen_ms * MS, pause) == flag
 
 
 STAT = "cpu  10 0 5 900 1 0 0 42 0 0\ncpu0 10 0 5 900 1 0 0 42 0 0\n"

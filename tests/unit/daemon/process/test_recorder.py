@@ -67,13 +67,10 @@ def test_a_process_that_ends_before_it_is_ready_is_named_with_its_code(tmp_path,
     assert caught.value.code is ExitCode.INTERNAL
 
 
-def test_without_a_job_it_ends_by_itself_and_says_nothing(waiter):
+def test_without_a_job_it_ends_by_itself_and_whoever_hands_none_over_leaves_no_process(waiter):
     waiting = Child(waiter)
     waiting.end.close()
     assert waiting.process.wait() == 0
-
-
-def test_whoever_leaves_without_handing_over_leaves_no_process(waiter):
     with pytest.raises(ValueError, match="no such path"), closing(Child(waiter)) as waiting:
         raise ValueError("no such path")
     assert waiting.process.returncode is not None
@@ -253,17 +250,13 @@ def test_a_report_comes_once_a_second(loop):
     assert m.stamp_ns(reports[0].header) == EPOCH + reports[0].mono_ns
 
 
-def test_what_was_dropped_on_the_way_is_counted(loop):
-    last = fed(loop, [*range(50), *range(80, 250)])[-1]
-    assert decode(m.Model, last.data).dropped == 30
-
-
-def test_bytes_that_are_no_message_are_passed_over(loop):
+def test_bytes_that_are_no_message_are_passed_over_and_what_was_dropped_is_counted(loop):
     broken = replace(pose_record(60), data=b"\0\1\0\0 nonsense")
     assert loop.take(pose_record(0)) is loop.take(broken) is None
     numbers = (61, 62, 62, *range(63, 250))  # one twice: nothing is missing
-    assert [report.sequence for report in fed(loop, numbers)] == [0, 1]
-    assert loop.feed.dropped == 59
+    reports = fed(loop, numbers)
+    assert [report.sequence for report in reports] == [0, 1]
+    assert decode(m.Model, reports[-1].data).dropped == loop.feed.dropped == 59
 
 
 def test_reports_are_read_until_the_learner_ends(loop, pipe):
