@@ -125,7 +125,7 @@ def test_a_word_of_another_step_or_of_no_button_answers_nothing(typed, word):
     assert page.ask("") == "s\n"
 
 
-def test_nothing_is_answered_while_a_step_runs(typed):
+def test_nothing_is_answered_while_a_step_runs_and_the_end_of_the_terminal_quits(typed):
     page, keyboard = typed
     page.stand(1, "runs")
     page.press("1 do")
@@ -135,9 +135,6 @@ def test_nothing_is_answered_while_a_step_runs(typed):
     assert page.ask("") == "s"
     os.write(keyboard, b"b\n")
     assert page.ask("") == "b\n"
-
-
-def test_the_end_of_the_terminal_quits(typed):
     page, keyboard = typed
     os.write(keyboard, b"")
     os.dup2(os.open(os.devnull, os.O_WRONLY), keyboard)  # the only writer goes

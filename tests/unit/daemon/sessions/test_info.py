@@ -59,7 +59,7 @@ def report_of(path):
     return make_session_report(load_recording(path))
 
 
-def test_a_known_circle_is_described_as_it_was(tmp_path):
+def test_a_known_circle_is_described_as_it_was_and_json_has_no_numbers_that_it_lacks(tmp_path):
     report = report_of(write_circle(tmp_path / "a.mcap"))
     assert (report.car, report.mode, report.end) == ("blue", "hw", "end of the run")
     assert report.length_m == pytest.approx(SPEED * 9.99, rel=2e-3)
@@ -74,6 +74,13 @@ def test_a_known_circle_is_described_as_it_was(tmp_path):
     assert all(t.name.startswith("/steerd/blue/") for t in report.topics)
     assert report.topics[0].rate_hz == pytest.approx(100.0)
     assert (report.empty_topics, report.warnings) == (("/steerd/blue/wheel",), ())
+    document = make_json(report)
+    again = json.loads(json.dumps(document, allow_nan=False))
+    assert again["schema"] == "steerd.info/1"
+    assert again["drive"]["length_m"] == pytest.approx(SPEED * 9.99, rel=2e-3)
+    assert again["states"][1]["state"] == "DISARMED"
+    assert again["metadata"]["steerd.end"]["dropped"] == "3"
+    assert make_json(report_of(tmp_path / "a.mcap")) == document
 
 
 def test_gaps_are_found_and_it_fits_a_screen(tmp_path):
@@ -90,16 +97,6 @@ def test_gaps_are_found_and_it_fits_a_screen(tmp_path):
         "init → disarmed 0.0 → ready 1.0", "100.0 Hz  1, worst 0.51 s at 3.0 s",
     ):  # fmt: skip
         assert said in "\n".join(lines)
-
-
-def test_json_has_no_numbers_that_json_lacks(tmp_path):
-    document = make_json(report_of(write_circle(tmp_path / "a.mcap")))
-    again = json.loads(json.dumps(document, allow_nan=False))
-    assert again["schema"] == "steerd.info/1"
-    assert again["drive"]["length_m"] == pytest.approx(SPEED * 9.99, rel=2e-3)
-    assert again["states"][1]["state"] == "DISARMED"
-    assert again["metadata"]["steerd.end"]["dropped"] == "3"
-    assert make_json(report_of(tmp_path / "a.mcap")) == document
 
 
 # A report fits a terminal of 80 columns and breaks no word.
@@ -194,13 +191,10 @@ def state():
     }
 
 
-def test_each_start_settles_anew(state):
+def test_each_start_settles_anew_and_errors_are_sizes_where_they_are_known(state):
     settled = motion.find_settled(state, seconds_since(START_NS, state["stamp_ns"]))
     assert np.flatnonzero(settled).tolist() == [4, 5, 11]
     assert motion.SETTLE == 3.0
-
-
-def test_errors_are_sizes_and_unknown_ones_are_left_out(state):
     state["e1"][5] = np.nan
     errors = motion.settled_errors(state, seconds_since(START_NS, state["stamp_ns"]))
     assert errors == pytest.approx([0.04, 0.11])
