@@ -21,7 +21,7 @@ from steerd.steer_bus.session_read import open_session
 pytestmark = pytest.mark.slow
 
 FREE, ONLY = ["steer_delay", "speed_lag"], ["steer_delay", "steer_backlash", "speed_delay"]
-DELAY = 0.05
+DELAY, ROUND = 0.05, "circle:radius=2"
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +35,8 @@ def drive(tmp_path_factory):
 fit = pytest.fixture(lambda drive: steerd.identify(drive, free=FREE, held_out=3), scope="module")
 
 
-@pytest.fixture(scope="module")
-def gap(drive):
-    return steerd.diagnose(drive, only=ONLY, pairs=False, closed_loop=False)
+DIAGNOSED = {"only": ONLY, "pairs": False, "closed_loop": False}
+gap = pytest.fixture(lambda drive: steerd.diagnose(drive, **DIAGNOSED), scope="module")
 
 
 def test_the_command_line_gives_the_same_numbers(drive, fit, cli):
@@ -111,9 +110,7 @@ def episode(env, seed, policy=follow):
             return np.array(rows), terminated, truncated, info
 
 
-@pytest.fixture(scope="module")
-def env():
-    return steerd.Environment(path="circle:radius=2", duration=2.0)
+env = pytest.fixture(lambda: steerd.Environment(path=ROUND, duration=2.0), scope="module")
 
 
 def test_the_same_seed_and_actions_give_the_same_episode(env):
