@@ -32,6 +32,7 @@ from steerd.steer_bus.topics import find_topic
 pytestmark = pytest.mark.slow
 
 SECOND = 1_000_000_000
+FREE = ("--free", "steer_lag")  # what is searched before so short a drive is refused
 KEPT = (m.MocapPose, m.Actuation, m.StateMessage, m.Tick, m.Transition, m.VescTelemetry)
 
 
@@ -201,9 +202,7 @@ def test_bad_signals_and_times(drive, tmp_path, kind):
     records = BAD[kind](list(drive), np.random.default_rng(1))
     path = write(tmp_path / "a.mcap", records)
     assert check_info(path)[0] == 0
-    assert steerd("identify", path, "--free", "steer_lag")[0] in (3, 4), (
-        "so short a drive teaches nothing"
-    )
+    assert steerd("identify", path, *FREE)[0] in (3, 4), "so short a drive teaches nothing"
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
 
 
@@ -211,7 +210,7 @@ def test_bad_signals_and_times(drive, tmp_path, kind):
 def test_bad_topics_schemas_and_encodings(drive, tmp_path, kind):
     path = write(tmp_path / "a.mcap", drive, **CHANNELS[kind])
     code, _, _ = check_info(path)
-    found, _, err = steerd("identify", path)
+    found, _, err = steerd("identify", path, *FREE)
     assert found in (3, 4)
     assert "renamed" not in kind or (code == 0 and ("mocap" in err or "pose" in err))
 
