@@ -1,8 +1,10 @@
-"""`steerd.identify`, `steerd.diagnose`: the numbers of the command line; `steerd.Environment`."""
+"""Python's own steerd: drives and tables, a controller of one's own, identify, diagnose, steps."""
 
 import html
 import json
 import math
+import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -10,12 +12,16 @@ from IPython.lib import pretty
 
 import steerd
 from steerd.car_model.car_file import load_car
+from steerd.car_model.state import State
 from steerd.daemon.analysis.environment import OBSERVED
+from steerd.daemon.process.external_controller import Lane
+from steerd.steer_bus.messages import MocapPose
+from steerd.steer_bus.session_read import open_session
 
 pytestmark = pytest.mark.slow
 
 FREE, ONLY = ["steer_delay", "speed_lag"], ["steer_delay", "steer_backlash", "speed_delay"]
-DELAY = 0.05
+DELAY, ROUND = 0.05, "circle:radius=2"
 
 
 @pytest.fixture(scope="module")
@@ -29,9 +35,8 @@ def drive(tmp_path_factory):
 fit = pytest.fixture(lambda drive: steerd.identify(drive, free=FREE, held_out=3), scope="module")
 
 
-@pytest.fixture(scope="module")
-def gap(drive):
-    return steerd.diagnose(drive, only=ONLY, pairs=False, closed_loop=False)
+DIAGNOSED = {"only": ONLY, "pairs": False, "closed_loop": False}
+gap = pytest.fixture(lambda drive: steerd.diagnose(drive, **DIAGNOSED), scope="module")
 
 
 def test_the_command_line_gives_the_same_numbers(drive, fit, cli):
@@ -105,9 +110,7 @@ def episode(env, seed, policy=follow):
             return np.array(rows), terminated, truncated, info
 
 
-@pytest.fixture(scope="module")
-def env():
-    return steerd.Environment(path="circle:radius=2", duration=2.0)
+env = pytest.fixture(lambda: steerd.Environment(path=ROUND, duration=2.0), scope="module")
 
 
 def test_the_same_seed_and_actions_give_the_same_episode(env):
@@ -127,3 +130,139 @@ def test_leaving_the_lane_terminates_the_episode():
     assert (terminated, truncated) == (True, False)
     assert 0.5 < -info["state"].e1 < 0.55
     assert 0.0 < info["t"] < 8.0
+
+
+# `steerd.load` and `steerd.simulate`: tables with the drive's own numbers, and clear refusals.
+def test_a_table_has_the_messages_of_the_topic_and_their_time(drive):
+    table = drive.table("mocap")
+    columns = open_session(drive.path).columns(MocapPose)
+    assert table.shape == columns["x"].shape
+    assert np.array_equal(table["x"], columns["x"])
+    assert table.dtype.names[0] == "t"
+    steps = np.diff(table["t"])
+    assert np.median(steps) == pytest.approx(0.01, abs=1e-4)
+    assert 0.0 <= table["t"][0] < 0.1
+    assert table["t"][-1] <= drive.duration
+
+
+def test_topics_go_by_short_and_by_whole_names(drive):
+    assert {"state", "mocap", "actuation", "tick"} <= set(drive.topics)
+    whole = drive.table("/steerd/car1/state")
+    assert np.array_equal(whole["t"], drive.table("state")["t"])
+    assert set(drive.tables()) == set(drive.topics)
+
+
+def test_frames_hold_the_same_and_arrays_are_columns_of_their_own(drive):
+    table, frame = drive.table("odom"), drive.to_pandas("odom")
+    name = "pose.covariance"
+    assert table[name].shape == (len(table), 36)
+    np.testing.assert_array_equal(frame[f"{name}.35"], table[name][:, 35])
+    assert name not in frame
+    units = drive["state"].attrs["units"]
+    assert (units["t"], units["e1"], units["yaw_rate"]) == ("s", "m", "rad/s")
+    assert "mode" not in units
+    one, other = drive.to_pandas("mocap"), drive.to_polars("mocap")
+    assert list(one.columns) == other.columns
+    assert np.array_equal(one["yaw"].to_numpy(), other["yaw"].to_numpy())
+    assert one["reject"].tolist() == other["reject"].to_list()
+
+
+@pytest.mark.parametrize("package", ["pandas", "polars"])
+def test_a_missing_package_is_named(package, drive, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(steerd.SteerdError, match=f"{package} is not installed") as refused:
+        getattr(drive, f"to_{package}")("state")
+    assert refused.value.hint == f"pip install {package}"
+
+
+def test_an_unknown_topic_says_which_there_are_and_no_file_is_refused(drive, tmp_path):
+    with pytest.raises(steerd.SteerdError, match="no table 'lidar'") as refused:
+        drive.table("lidar")
+    assert "mocap" in refused.value.hint
+    with pytest.raises(steerd.SteerdError, match="does not exist"):
+        steerd.load(tmp_path / "none.mcap")
+
+
+def test_a_recorded_simulation_is_loaded_again_and_is_the_same_for_the_same_seed(tmp_path):
+    def drive(seed, **more):
+        return steerd.simulate(path="circle:radius=2", duration=1.0, seed=seed, **more)
+
+    out = tmp_path / "drive.mcap"
+    assert drive(3, record=out).path == out
+    x = steerd.load(out).table("mocap")["x"]
+    assert np.array_equal(x, drive(3).table("mocap")["x"])
+    assert not np.array_equal(x, drive(4).table("mocap")["x"])
+
+
+def test_a_temporary_drive_goes_with_its_value():
+    session = steerd.simulate(duration=1.0)
+    path = session.path
+    assert isinstance(session, steerd.Session)
+    assert path.is_file()
+    del session
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    "value", [0.05, (0.05,), {"delay": 0.05}, np.float64(0.05), np.array([0.05])]
+)
+def test_effects_are_those_of_the_command_line(value):
+    session = steerd.simulate(duration=1.0, effects={"steer_delay": value})
+    assert '"effects":["steer_delay' in session.metadata["steerd.session"]["options"]
+    assert "0.05" in session.metadata["steerd.session"]["options"]
+
+
+@pytest.mark.parametrize(("arguments", "what"), [
+    ({"duration": 0.0}, "duration 0"), ({"effects": {"wings": 1.0}}, "wings"),
+])  # fmt: skip
+def test_arguments_that_make_no_sense(arguments, what):
+    with pytest.raises(steerd.SteerdError, match=what):
+        steerd.simulate(**arguments)
+
+
+def test_a_drive_that_a_watchdog_ends_says_so():
+    with pytest.warns(UserWarning, match="the drive was stopped"):
+        session = steerd.simulate(
+            path="circle:radius=2", speed=2.0, duration=20.0, effects={"steer_delay": 0.3}
+        )
+    assert session.duration < 10.0
+
+
+# A controller of one's own: in virtual time, within the limits, to a stop.
+CIRCLE = {"path": "circle:radius=2", "speed": 1.5, "duration": 6.0, "seed": 3}
+
+
+def steer(t: float, state: State[float], lane: Lane) -> tuple[float, float]:
+    """Steers by lane errors alone, and never stops by itself."""
+    return math.atan(0.33 * lane.curvature) - 0.8 * lane.e1 - lane.e2, 1.5
+
+
+def test_a_function_drives_to_a_stop_and_the_drive_replays(tmp_path, cli):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # no watchdog ended the drive
+        drive = steerd.simulate(**CIRCLE, controller=steer, record=tmp_path / "own.mcap")
+        again = steerd.simulate(**CIRCLE, controller=steer)
+    state = drive.table("state")
+    moving = state[state["speed"] > 1.4]
+    assert len(moving) > 300
+    assert np.abs(moving["e1"][100:]).max() < 0.15
+    assert drive.path.read_bytes() == again.path.read_bytes()
+    assert "all equal the recorded ones" in cli("replay", drive.path).out
+
+
+def test_the_cars_limits_hold_for_a_function(tmp_path):
+    drive = steerd.simulate(**CIRCLE, controller=lambda t, state, lane: (0.2, 50.0))
+    state = drive.table("state")
+    assert np.nanmax(np.abs(state["speed"] * state["yaw_rate"])) < 12.0
+    assert np.nanmax(state["speed"]) < 6.0
+
+
+@pytest.mark.parametrize("command", [None, 3.0, (0.1,), ("left", 1.0), (math.nan, 1.0)])
+def test_what_is_no_command_is_refused_in_one_line(command):
+    with pytest.raises(steerd.SteerdError, match="not two finite numbers"):
+        steerd.simulate(**CIRCLE, controller=lambda t, state, lane: command)
+
+
+def test_an_error_of_the_function_is_the_users_to_see():
+    with pytest.raises(ZeroDivisionError):
+        steerd.simulate(**CIRCLE, controller=lambda t, state, lane: 1 / 0)

@@ -69,8 +69,9 @@ def test_a_drive_becomes_a_car_file_json_and_report(fitted):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_processes_give_the_same_answer(session, tmp_path):
-    out, search = tmp_path / "o.json", "--method paper --starts 2 --iterations 2 --held-out 3"
+def test_processes_give_the_same_answer(rows, tmp_path):
+    session, out = import_log(tmp_path, rows[:1800]), tmp_path / "o.json"
+    search = "--method paper --starts 2 --iterations 2 --held-out 3"
 
     def answer(more=""):
         code = main(f"identify {session} {search} --json {out} {more}".split())
@@ -92,12 +93,15 @@ def interrupted(*_):
     signal.raise_signal(signal.SIGINT)
 
 
-def test_steering_of_the_wrong_sign_is_a_warning_before_the_fit(rows, tmp_path, monkeypatch, cli):
+def test_a_wrong_sign_is_a_warning_before_a_fit_which_interrupted_writes_nothing(
+    rows, tmp_path, monkeypatch, cli
+):
     session = import_log(tmp_path, rows * [1.0, 1.0, 1.0, 1.0, -1.0, 1.0])
     monkeypatch.setattr(identification, "learn", interrupted)
-    error = cli("identify", session, "--free", "steer_lag", code=130).err
+    error = cli("identify", session, "-o", tmp_path / "car.toml", code=130).err
     assert "warning: run.mcap:" in error
     assert "left positive" in error
+    assert error.endswith("\ninterrupted: nothing is written\n")
 
 
 def put(columns, value):
@@ -164,12 +168,6 @@ def test_an_interrupt_leaves_what_is_on_the_screen(session, fitted, tmp_path, mo
     assert line.startswith("interrupted: ")
     assert line.endswith(f"are written, {out / 'car.posterior.json'} is not")
     assert "car.posterior.json is missing" in load_car(out / "car.toml").remark
-
-
-def test_an_interrupted_fit_says_that_nothing_is_written(session, tmp_path, monkeypatch, cli):
-    monkeypatch.setattr(identification, "learn", interrupted)
-    said = cli("identify", session, "-o", tmp_path / "car.toml", code=130).err
-    assert said == "interrupted: nothing is written\n"
 
 
 def test_a_value_where_no_car_is_spoils_the_car_file_alone(monkeypatch, tmp_path, cli):

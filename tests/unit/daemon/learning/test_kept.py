@@ -1,26 +1,68 @@
-"""The page beside the car file: it comes back as it was, or is refused in one line."""
+"""What was learnt: the page beside the car file, a screen, programs, and what is proposed of it."""
 
 import json
+import os
 import shutil
 import tomllib
 from dataclasses import replace
 from hashlib import sha256
+from math import nan
 from pathlib import Path
 
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car, parse_car
 from steerd.daemon.assembly.build import make_plan
-from steerd.daemon.learning import kept
-from steerd.daemon.learning.feed import Wiring, make_feed, read_memory
+from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, make_pipe, pack_record
+from steerd.daemon.learning import feed, kept, reported
+from steerd.daemon.learning.feed import PAUSE_NS, Proposals, Wiring, make_model, read_memory
 from steerd.daemon.learning.kept import DAY_NS, About, Keeper, KeptError, format_kept, parse_kept
+from steerd.daemon.learning.reported import ReportedChange, ReportedValue, gap_text, pack
+from steerd.daemon.loop.adapting import REFUSED, make_design, make_no_design, read_design
+from steerd.daemon.process.bus_operator import read_model
 from steerd.daemon.process.children import learnt_page, recall_learnt
+from steerd.daemon.process.gateway import Gateway, run_gateway
 from steerd.daemon.settings.run_options import RunOptions
+from steerd.daemon.terminal.dashboard import Dashboard
+from steerd.sim_gap.online.learner import State
+from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled
 from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.topics import LAST_MODEL, make_key
+from steerd.vesc_link.scaling import Scaling
+from tests.blank import blank
+from tests.designs import numbers, standard
+from tests.local_bus import LocalBus, LocalHub
+from tests.unit.daemon.terminal.test_terminal import printed
+
+NOON = 1_763_812_800_000_000_000
+"""12:00:00 UTC of a day, in UNIX time [ns]; the monotonic clock then read 100 s."""
+MONO = 100_000_000_000
+
+
+def make_change(verdict="named", alternatives=()):
+    """A change 40 s before noon; a named one is a steering bias."""
+    since, noticed = MONO - 40_000_000_000, MONO - 39_000_000_000
+    if verdict != "named":
+        return ReportedChange(since, noticed, verdict, "", nan, (), ())
+    bias = ReportedValue("bias", 0.0213, 0.0021, "rad")
+    return ReportedChange(since, noticed, verdict, "steer_bias", 0.97, alternatives, (bias,))
+
+
+def make_report(verdict="none", *changes):
+    """A report at noon of a car without changes, or with these."""
+    values = [
+        ReportedValue("steer_gain", 0.98, 0.012, "1", True),
+        ReportedValue("inertia_z", 0.046, nan, "kg m^2", False),
+    ]
+    model = make_model(State(seen=120), MONO, NOON - MONO, 3, {})
+    return replace(model, verdict=verdict, details=pack(values, list(changes)))
+
 
 ABOUT = About("car1", "ab" * 32, "1.0", 'a "wet" one.mcap')
 
-report = pytest.fixture(lambda make_report, make_change: make_report("named", make_change()))
+report = pytest.fixture(lambda: make_report("named", make_change()))
 page = pytest.fixture(lambda report: format_kept(ABOUT, report))
 
 
@@ -152,8 +194,8 @@ def test_what_one_run_keeps_the_next_begins_with(plan, report, capsys):
     assert capsys.readouterr().err == ""
     job = json.loads(json.dumps(second._asdict()))
     memory = read_memory(job["memory"])
-    feed = make_feed(plan.settings.file, Wiring(0, plan.settings.scaling), memory)
-    assert [*feed.learner.remembered] == ["steer_gain"]
+    made = feed.make_feed(plan.settings.file, Wiring(0, plan.settings.scaling), memory)
+    assert [*made.learner.remembered] == ["steer_gain"]
     assert plan.settings.file.path.read_text() == default_car_path().read_text()
 
 
@@ -199,3 +241,186 @@ def test_a_page_that_is_torn_or_cannot_be_read_is_named_and_left_out(plan, repor
     memory = recalled(plan, m.stamp_ns(report.header))
     assert (memory.memory, memory.refused) == ("", True)
     assert said in capsys.readouterr().err
+
+
+# What was learnt, on a screen and for programs.
+@pytest.mark.parametrize(("verdict", "words"), [
+    ("named", "since 11:59:20: steer_bias +0.0213 ± 0.0021 rad, 97 %"),
+    ("changed", "since 11:59:20: something changed, too early to say what"),
+    ("unexplained", "since 11:59:20: something changed that no effect explains"),
+    ("none", "no change of the car"), ("learning", "learning the car"),
+])  # fmt: skip
+def test_a_change_is_told_with_its_time_and_odds(verdict, words):
+    changes = () if verdict in ("none", "learning") else (make_change(verdict),)
+    assert gap_text(make_report(verdict, *changes)).replace("\u00a0", " ") == words
+
+
+def test_the_screen_fits_80_columns_and_hides_what_is_not_identifiable():
+    change = make_change(alternatives=("steer_gain", "mocap_yaw", "cornering_stiffness"))
+    report = make_report("named", change)
+    said = "; this drive cannot distinguish it from steer_gain, mocap_yaw, cornering_stiffness"
+    assert gap_text(report).endswith(said)
+    lines = reported.format_model(report)
+    assert max(map(len, lines)) <= 80
+    assert "  steer_gain  0.980 ± 0.012" in lines
+    assert "not identifiable here: inertia_z" in lines
+
+
+def test_json_has_the_gap_and_the_model():
+    report = make_report("named", make_change(alternatives=("mocap_yaw",)))
+    values = json.loads(json.dumps(reported.encode_model(report), allow_nan=False))
+    gap = values["gap"]
+    assert gap["verdict"] == "named"
+    assert gap["since_s"] == pytest.approx(m.stamp_ns(report.header) * 1e-9 - 40.0)
+    (cause,) = gap["causes"]
+    assert (cause["effect"], cause["alternatives"]) == ("steer_bias", ["mocap_yaw"])
+    assert cause["parameters"]["bias"]["value"] == pytest.approx(0.0213)
+    gain, inertia = values["model"]["steer_gain"], values["model"]["inertia_z"]
+    assert gain == {"value": 0.98, "sd": 0.012, "unit": "1", "identifiable": True}
+    assert inertia == {"value": 0.046, "sd": None, "unit": "kg m^2", "identifiable": False}
+    unnamed = reported.encode_model(make_report("changed", make_change("changed")))
+    assert json.loads(json.dumps(unnamed, allow_nan=False))["gap"]["causes"] == []
+
+
+@pytest.mark.parametrize(("value", "sd", "shown"), [
+    (0.02134, 0.0021, "0.0213 ± 0.0021 rad"), (12.3, 4.2, "12.3 ± 4.2 rad"),
+    (123.4, 42.0, "123 ± 42 rad"), (0.5, float("nan"), "0.5 rad"),
+])  # fmt: skip
+def test_numbers_have_the_digits_of_their_error(value, sd, shown):
+    text = reported.with_sd(ReportedValue("bias", value, sd, "rad"))
+    assert text.replace("\u00a0", " ") == shown
+
+
+# Where people look: the dashboard, `steerd status`, and what the gateway answers.
+def record(report):
+    return PipeRecord(topics.MODEL, 0, 1, 1, encode(report))
+
+
+def test_the_dashboard_says_what_is_learnt_and_a_change_once():
+    board = Dashboard("car1")
+    assert "gap" not in printed(board.render())
+    assert board.take(record(make_report("none"))) is None
+    assert "no change of the car" in printed(board.render())
+    line = board.take(record(make_report("changed", make_change("changed"))))
+    assert line is not None
+    assert line.startswith("GAP")
+    assert "something changed" in line
+    assert board.take(record(make_report("changed", make_change("changed")))) is None
+    named = board.take(record(make_report("named", make_change())))
+    assert named is not None
+    assert "steer_bias +0.0213 ± 0.0021 rad, 97 %" in named
+    assert list(board.events) == [line, named]
+
+
+def test_the_gateway_publishes_reports_and_answers_with_the_last(pipe, ends):
+    hub, (read_fd, write_fd) = LocalHub(), pipe
+    listener, gateway = LocalBus(hub), Gateway(LocalBus(hub), "car1", None)
+    heard = listener.subscribe(make_key("car1", topics.MODEL), 8)
+    assert read_model(listener, "car1") is None
+    LocalBus(hub).serve(make_key("car2", LAST_MODEL), lambda _: b"\0\1\0\0short")
+    assert read_model(listener, "car2") is None, "of another version"
+    report_fd, report_end = make_pipe()
+    report = make_report("none")
+    os.write(report_end, pack_record(feed.make_record(report, 0, 1)))
+    os.write(write_fd, b"\0")  # wakes it; no whole record
+    os.close(report_end)
+    os.close(write_fd)
+    run_gateway(gateway, PipeReader(read_fd), ends[0], PipeReader(report_fd))
+    assert [sample.data for sample in heard.poll()] == [encode(report)]
+    last = read_model(listener, "car1")
+    assert last is not None
+    assert encode(last) == encode(report)
+
+
+# The learner's proposals: by steps, from where the core is, and none in doubt.
+S = 1_000_000_000
+
+
+@pytest.fixture
+def aims(monkeypatch):
+    """What is learnt, to be set by a test."""
+    now = {"aim": "the car is being learnt"}
+    monkeypatch.setattr(feed, "find_aim", lambda learner, state: now["aim"])
+    return now
+
+
+class Proposer(Proposals):
+    """Proposals that are decoded as they go out; of designs it is only counted how many."""
+
+    def __init__(self):
+        self.held, self.sent, self.made = standard(), [], 0
+        super().__init__(self.held, self.make_table, lambda *sent: self.sent.append(sent))
+
+    def make_table(self, car, config, timing, speed):
+        self.made += 1
+        return self.held.file.table
+
+    def say(self, t_ns):
+        self.propose(None, None, t_ns, 0)
+        data, sent_ns = self.sent[-1]
+        assert sent_ns == t_ns
+        return decode(m.Design, data)
+
+
+at = pytest.fixture(lambda: Proposer())
+
+
+def test_in_doubt_or_for_the_car_of_the_file_the_reason_is_proposed(at, aims):
+    said = at.say(5 * S)
+    assert (said.number, said.text, said.mono_ns) == (0, "the car is being learnt", 5 * S)
+    aims["aim"] = numbers(at.held)
+    said = at.say(6 * S)
+    assert (said.number, said.text) == (0, "the car is as in the car file")
+
+
+def test_the_learnt_car_is_reached_by_steps_that_the_core_took(at, aims):
+    aims["aim"] = numbers(at.held, steer_gain=0.88)
+    unanswered = [at.say(k * S).steer_gain for k in range(4)]
+    assert unanswered == pytest.approx([0.97] * 4)
+    seen = []
+    for k in range(4, 12):
+        said = at.say(k * S)
+        seen.append(said.steer_gain)
+        at.hear(make_design(k * S, 0, k + 1, read_design(said)))
+    assert seen == pytest.approx([0.97, 0.94, 0.91, 0.88, 0.88, 0.88, 0.88, 0.88])
+    assert at.made == 4, "what stays is not designed again"
+
+
+def test_after_a_refusal_it_pauses_and_begins_at_the_files(at, aims):
+    aims["aim"] = numbers(at.held, steer_gain=0.88)
+    at.hear(make_design(S, 0, 1, read_design(at.say(S))))
+    at.hear(make_no_design(2 * S, 0, REFUSED + "a gain is absurd"))
+    said = at.say(3 * S)
+    assert (said.number, said.text) == (0, "a design was refused")
+    assert at.say(2 * S + PAUSE_NS).steer_gain == pytest.approx(0.97)
+
+
+# Messages of a drive as samples of the learner.
+EPOCH = 1_700_000_000_000_000_000
+WIRING = Wiring(EPOCH, Scaling(4000.0, 100.0))
+
+
+def at_s(seconds, cls, **values):
+    """A message with a header of so long after the session's zero."""
+    return blank(cls, **{"header": m.make_header(EPOCH + seconds * S, m.BODY), **values})
+
+
+POSE = {"t_valid_ns": 2 * S, "x": 1.0, "y": 2.0, "yaw": 0.3}
+OTHER_ORDERS = [mode for mode in m.ActuationMode if mode != m.ActuationMode.SPEED]
+TOLD = {"t_sent_ns": S, "t_received_ns": S + 2_000_000, "erpm": 6100}
+
+
+def actuation(mode):
+    return at_s(3, m.Actuation, mode=mode, steer=0.1, speed=1.5)
+
+
+@pytest.mark.parametrize(("topic", "message", "sample"), [
+    (topics.MOCAP, at_s(2, m.MocapPose, **POSE), PoseSeen(2.0, 1.0, 2.0, 0.3)),
+    (topics.MOCAP, at_s(2, m.MocapPose, **POSE, reject="jump"), None),
+    (topics.ACTUATION, actuation(m.ActuationMode.SPEED), Ordered(3.0, 0.1, 1.5)),
+    *((topics.ACTUATION, actuation(mode), Paused(3.0)) for mode in OTHER_ORDERS),
+    (topics.VESC, at_s(1, m.VescTelemetry, **TOLD), Rolled(pytest.approx(1.001), 1.5)),
+    (topics.WHEEL, at_s(4, m.WheelSpeed, t_ns=4 * S, speed=1.25), Rolled(4.0, 1.25)),
+])  # fmt: skip
+def test_a_message_counts_when_it_was_valid_in_the_sessions_own_scaling(topic, message, sample):
+    assert feed.make_sample(WIRING, topic, message) == sample

@@ -1,4 +1,7 @@
-"""The guardian: its decisions with injected time, and its bytes with real processes and a pty."""
+"""The guardian: its decisions with injected time, and its bytes with real processes and a pty.
+
+The core's side of it too, and who holds the lifeline.
+"""
 
 import os
 import pty
@@ -17,13 +20,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerd.daemon.process import guardian, heartbeat
-from steerd.daemon.process.guard import find_pause, make_page_fd
+from steerd.daemon.process.guard import START_NS, ProcessGuard, find_pause, make_page_fd
 from steerd.daemon.process.guardian import BRAKE_NS, PERIOD_NS, brake, wait_for_fault
-from steerd.daemon.process.heartbeat import OUTGOING_BYTES, PAUSE_NS, STALE_NS, HeartbeatPage
+from steerd.daemon.process.heartbeat import STALE_NS, HeartbeatPage, Lifeline
 
+OUTGOING_BYTES, PAUSE_NS = heartbeat.OUTGOING_BYTES, heartbeat.PAUSE_NS
 BRAKE, MOTION = b"\x02\x05BRAKE\x03", b"\x02\x05MOVE!\x03"  # as long as each other
 MS = 1_000_000
 ROOT = Path(__file__).resolve().parents[4]
+
+
+def spawn(arguments, fds, **options):
+    """Python with these words and descriptors."""
+    command = [sys.executable, *map(str, arguments)]
+    return subprocess.Popen(command, pass_fds=fds, cwd=ROOT, **options)
 
 
 class Times:
@@ -240,25 +250,16 @@ class Rig:
         os.set_blocking(serial, False)
         page_fd = make_page_fd()
         self.page = HeartbeatPage(page_fd)
-        self.core = self.spawn(
-            ["-c", CORE, str(serial), str(page_fd), str(int(engaged)), frame.hex(), freeze],
-            (serial, page_fd),
-        )
-        pidfd = os.pidfd_open(self.core.pid)
+        told = ["-c", CORE, serial, page_fd, int(engaged), frame.hex(), freeze]
+        self.core = spawn(told, (serial, page_fd))
+        fds = (serial, page_fd, os.pidfd_open(self.core.pid))
         self.read_until(lambda data: frame in data)
-        arguments = [str(k) for k in (serial, page_fd, pidfd)]
-        self.guardian = self.spawn(
-            ["-m", "steerd.daemon.process.guardian", *arguments, BRAKE.hex(), str(10 * STALE_NS)],
-            (serial, page_fd, pidfd),
-        )
-        for fd in (page_fd, pidfd):
+        module = "steerd.daemon.process.guardian"
+        self.guardian = spawn(["-m", module, *fds, BRAKE.hex(), 10 * STALE_NS], fds)
+        for fd in fds[1:]:
             os.close(fd)
         self.read_until(lambda _: self.page.words.guardian_ns > 0)
         self.read_until(lambda data: len(data) > 5 * len(frame))
-
-    def spawn(self, arguments, fds):
-        env = {**os.environ, "PYTHONPATH": str(ROOT)}
-        return subprocess.Popen([sys.executable, *arguments], pass_fds=fds, env=env, cwd=ROOT)
 
     def read_until(self, done, seconds=10.0):
         """Read what arrives until ``done(bytes so far)``."""
@@ -328,3 +329,142 @@ def test_ctrl_c_to_the_whole_group_does_not_end_the_guardian(rig):
     assert rig.page.words.tripped_ns > 0
     rig.read_until(lambda _: rig.guardian.poll() is not None)
     assert rig.guardian.returncode == 0
+
+
+# The core's side of the guardian.
+def test_before_a_port_is_open_nothing_may_move_and_nothing_is_missed():
+    guard = ProcessGuard(realtime=True)
+    now = time.monotonic_ns()
+    guard.mark_clean()
+    assert not any((guard.may_write(now, now), guard.is_silent(now), guard.has_tripped()))
+
+
+@pytest.mark.parametrize(("realtime", "simulated", "stale_ms"), [
+    (True, False, 30), (False, False, 60), (True, True, 300),
+])  # fmt: skip
+def test_how_late_a_heartbeat_may_be(realtime, simulated, stale_ms):
+    guard = ProcessGuard(realtime, simulated=simulated)
+    guard.page = HeartbeatPage(make_page_fd())
+    now, stale_ns = time.monotonic_ns(), stale_ms * 1_000_000
+    guard.page.write_heartbeat(now, engaged=True)
+    assert guard.may_write(now, now + stale_ns - 1)
+    assert not guard.may_write(now, now + stale_ns)
+
+
+def test_a_guardian_shows_itself_brakes_a_silent_core_and_is_missed_when_killed(pipe):
+    read, write = pipe
+    guard = ProcessGuard(realtime=False, simulated=True)
+    start = time.monotonic_ns()
+    guard.watch(write, BRAKE, start)
+    assert not guard.is_silent(start + START_NS - 1), "it has a second to come up"
+    assert guard.is_silent(start + START_NS), "and no longer"
+    end = time.monotonic() + 20.0
+    while not guard.page.words.guardian_ns and time.monotonic() < end:
+        guard.page.write_heartbeat(time.monotonic_ns(), engaged=False)
+        select.select([], [], [], 0.005)
+    shown = guard.page.words.guardian_ns
+    assert shown
+    assert not guard.is_silent(shown + 300_000_000)
+    assert guard.is_silent(shown + 300_000_001)
+    now = time.monotonic_ns()
+    guard.page.write_heartbeat(now, engaged=True)
+    assert guard.may_write(now, now)
+    assert not guard.may_write(now, now + 300_000_000), "a tick of before a stop is not sent after"
+    assert select.select([read], [], [], 20.0)[0], "no heartbeat any more: the guardian brakes"
+    assert os.read(read, 1000).startswith(BRAKE)
+    assert guard.has_tripped()
+    assert not guard.may_write(time.monotonic_ns(), time.monotonic_ns())
+    guard._process.kill()
+    guard._process.wait()
+    assert guard.is_silent(time.monotonic_ns())
+
+
+def test_a_plug_that_flaps_leaves_nothing_behind(pipe):
+    read, write = pipe
+    guard = ProcessGuard(realtime=False, simulated=True)
+    counts = []
+    for _ in range(4):
+        guard.watch(write, BRAKE, time.monotonic_ns())
+        counts.append(len(list(Path("/proc/self/fd").iterdir())))
+        guard.mark_clean()
+        assert guard._process.wait(20.0) == 0, "let go of, and the car is not armed"
+    assert len(set(counts[1:])) == 1
+    assert not select.select([read], [], [], 0.0)[0], "nobody braked"
+
+
+# Who holds the lifeline, and what the other end hears of its death.
+HOLDER = """
+import os, sys, select
+from steerd.daemon.process.heartbeat import HeartbeatPage, Lifeline
+line = Lifeline(int(sys.argv[1]))
+line.hold()
+if sys.argv[2] == "0":
+    del line
+    os._exit(0)
+memory = bytearray(int(sys.argv[2]))
+memory[::4096] = b"x" * len(memory[::4096])
+print("held", flush=True)
+select.poll().poll(60_000)
+"""
+
+
+def hold(size, **options):
+    """A process that holds a lifeline with so much memory, its page, and this end of the line."""
+    page_fd = make_page_fd()
+    holder = spawn(["-c", HOLDER, page_fd, size], (page_fd,), **options)
+    return holder, page_fd, Lifeline(page_fd, os.pidfd_open(holder.pid))
+
+
+@pytest.fixture
+def held(request):
+    """A holder that lives on."""
+    holder, *line = hold(getattr(request, "param", 1) << 20, stdout=subprocess.PIPE)
+    assert holder.stdout.readline() == b"held\n"
+    holder.stdout.close()
+    yield holder, *line
+    holder.kill()
+    holder.wait()
+
+
+def test_a_holder_that_unmapped_its_page_before_it_left_is_heard_of():
+    """The kernel cannot hand on a mutex that is not in memory any more: Python's own tidy end."""
+    holder, _, line = hold(0)
+    assert holder.wait() == 0
+    assert line.poll(5)
+    assert line.poll(5)
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGABRT, signal.SIGTERM])
+def test_every_kind_of_death_is_heard_of_and_a_stopped_holder_is_not_dead(held, how):
+    holder, _, line = held
+    holder.send_signal(signal.SIGSTOP)
+    assert not line.poll(30)
+    holder.send_signal(signal.SIGCONT)
+    holder.send_signal(how)
+    assert line.poll(5_000)
+    assert holder.wait() == -how
+
+
+@pytest.mark.parametrize("held", [128], indirect=True)
+def test_the_lifeline_does_not_wait_for_the_memory_to_be_taken_apart(held):
+    holder, _, line = held
+    gone = select.poll()
+    gone.register(os.pidfd_open(holder.pid), select.POLLIN)
+    holder.kill()
+    assert line.poll(5_000)
+    assert not gone.poll(0), "the kernel is still at it"
+    assert gone.poll(5_000)
+
+
+@pytest.mark.parametrize("mutex", ["there is none", "nobody holds it"])
+def test_without_a_mutex_the_pidfd_has_to_do(held, monkeypatch, mutex):
+    holder, page_fd, _ = held
+    if mutex == "there is none":
+        monkeypatch.setattr(heartbeat, "_library", lambda: None)
+        Lifeline(page_fd).hold()
+    else:
+        page_fd = make_page_fd()
+    line = Lifeline(page_fd, os.pidfd_open(holder.pid))
+    assert not line.poll(5)
+    holder.kill()
+    assert line.poll(5_000)

@@ -1,11 +1,23 @@
-"""Deadlines follow punctual poses, and nothing else."""
+"""Deadlines follow punctual poses, and nothing else; real time: what is refused, who was late."""
+
+import gc
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from steerd.daemon.loop.findings import Flag
+from steerd.daemon.process import realtime
+from steerd.daemon.process.guard import LEAST_NS, find_cause, parse_steal
+from steerd.daemon.process.guardian import PERIOD_NS
 from steerd.daemon.process.pacing import MARGIN, SLEW, STEADY, Pace, early_window_ns, step_pace
+from steerd.daemon.process.realtime import keep_busy, measure_wakes, summarise_wakes
 
 MS = 1_000_000
 TICKS = 2000
@@ -101,3 +113,137 @@ def test_only_the_pose_that_belongs_to_a_deadline_makes_its_tick(period_ms, rati
 @given(jitter=st.floats(0.0, 1e9), period=st.integers(MS, 20 * MS))
 def test_no_pose_is_early_by_more_than_half_a_period(jitter, period):
     assert 0 <= early_window_ns(Pace(0, 0, jitter, steady=STEADY), period) <= period // 2
+
+
+# Real time: settings that a machine refuses, and who made a tick late.
+@pytest.fixture
+def machine(monkeypatch):
+    """Sets what the machine grants; the interpreter's switch interval comes back afterwards."""
+    asked = []
+    interval = sys.getswitchinterval()
+
+    def grant(fifo, locked, limit=realtime.resource.RLIM_INFINITY):
+        def schedule(_pid, policy, parameters):
+            asked.append((policy, parameters.sched_priority))
+            if not fifo:
+                raise PermissionError
+
+        monkeypatch.setattr(realtime.os, "sched_setscheduler", schedule)
+        monkeypatch.setattr(realtime.os, "geteuid", lambda: 1000)
+        monkeypatch.setattr(realtime.resource, "getrlimit", lambda _which: (limit, limit))
+        libc = SimpleNamespace(prctl=lambda *_: 0, mlockall=lambda _flags: 0 if locked else -1)
+        monkeypatch.setattr(realtime, "_libc", lambda: libc)
+        return asked
+
+    yield grant
+    sys.setswitchinterval(interval)
+
+
+@pytest.mark.parametrize(("fifo", "locked"), [(True, True), (True, False), (False, False)])
+def test_each_refusal_has_a_line_with_its_remedy(machine, fifo, locked):
+    asked = machine(fifo, locked)
+    report = realtime.enter_realtime(42)
+    assert asked == [(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 42)], "children do not inherit it"
+    assert (report.fifo, report.locked) == (fifo, locked)
+    assert [("SCHED_FIFO" in line, "memlock" in line) for line in report.refused] == (
+        [(True, False)] * (not fifo) + [(False, True)] * (not locked)
+    )
+    assert all("/etc/security/limits.d/" in line for line in report.refused)
+    assert sys.getswitchinterval() == pytest.approx(realtime.SWITCH_INTERVAL_S)
+
+
+def test_under_a_small_limit_memory_is_not_locked(machine):
+    """A lock of future pages would then make later allocations fail."""
+    machine(fifo=True, locked=True, limit=65536)
+    assert not realtime.enter_realtime().locked
+
+
+def test_real_time_for_a_while_leaves_nothing_behind():
+    """Tests run commands in their own process: rtcheck once left it at a fixed priority."""
+
+    def standing():
+        status = Path("/proc/self/status").read_text().splitlines()
+        locked = next(line for line in status if line.startswith("VmLck"))
+        collected = gc.isenabled(), gc.get_freeze_count()
+        return *collected, sys.getswitchinterval(), os.sched_getscheduler(0), locked
+
+    before = standing()
+    with realtime.realtime_section() as report:
+        assert not gc.isenabled()
+        assert gc.get_freeze_count() > before[1]
+        assert (os.sched_getscheduler(0) & os.SCHED_FIFO != 0) == report.fifo
+    assert standing() == before
+
+
+# Who made a tick late is told from the guardian's pause: machine, host, or this program alone.
+START = 10**12
+
+
+JUST = LEAST_NS // MS
+NEVER = -START // MS, -START // MS  # no pause, as the page says it: from 0 to 0 [ns]
+
+
+@pytest.mark.parametrize(("late_ms", "pause_ms", "stolen_ms", "flag"), [
+    # A stall of all, which began `due` before the core's tick, `slept` after the guardian's beat.
+    *((round(stall - due), (-due - slept, stall - due + 1), 0, Flag.ALL_LATE)
+      for stall in (31, 40, 60, 200) for due in (0, 5, 9.9) for slept in (0, 3, 9.9)),
+    # A pause at another time, or none: the guardian ran all the time.
+    *((41, pause, 0, Flag.ALONE_LATE) for pause in ((-900, -850), (-40, 0), (60, 90), NEVER)),
+    (JUST, NEVER, 0, Flag.ALONE_LATE), (41, None, 0, 0),  # nobody saw it
+    (100, (-10, 30), 0, 0), (100, (90, 120), 0, 0),  # the guardian ran for most of it
+    # Of a short delay it is no witness.
+    (0, (-5, 5), 0, 0), (JUST - 1, (0, 0), 0, 0), (JUST - 1, (-9, JUST), 0, 0),
+    (JUST, (0, PERIOD_NS // MS + 9), 0, 0),  # mostly its own sleep
+    # Stolen time says more than the guardian.
+    (40, (-5, 45), 40, Flag.STALLED), (40, (0, 0), 20, Flag.STALLED),
+    (40, (-5, 45), 19, Flag.ALL_LATE),
+])  # fmt: skip
+def test_who_made_a_tick_late(late_ms, pause_ms, stolen_ms, flag):
+    """It is late from 0 on; the guardian's pause is from and to."""
+    pause = pause_ms and tuple(START + round(t * MS) for t in pause_ms)
+    assert find_cause((START, START + late_ms * MS), stolen_ms * MS, pause) == flag
+
+
+STAT = "cpu  10 0 5 900 1 0 0 42 0 0\ncpu0 10 0 5 900 1 0 0 42 0 0\n"
+
+
+def test_stolen_time_of_all_processors():
+    assert parse_steal(STAT, 100) == 420 * MS
+    for other in ("cpu 1 2 3 4\n", "", "intr 1 2 3 4 5 6 7 8 9\n", "cpu 1 2 3 4 5 6 7 x 9\n"):
+        assert parse_steal(other, 100) == 0, other
+
+
+def test_a_machine_is_kept_busy_and_let_go(monkeypatch):
+    started, start = [], subprocess.Popen
+
+    def note(command):
+        started.append(start(command))
+        return started[-1]
+
+    monkeypatch.setattr(realtime.subprocess, "Popen", note)
+    with keep_busy(2):
+        assert [process.poll() for process in started] == [None, None]
+    assert [process.poll() for process in started] == [-9, -9]
+
+
+def test_a_missed_deadline_is_skipped_and_never_caught_up():
+    late, deadlines, now = [0, 25 * MS, 1 * MS], [], [0]
+
+    def sleep(deadline_ns):
+        now[0] = deadline_ns + late[len(deadlines)]
+        deadlines.append(deadline_ns)
+
+    clock = SimpleNamespace(now_ns=lambda: now[0], sleep_until_ns=sleep)
+    assert measure_wakes(clock, 10 * MS, 3).tolist() == late
+    assert deadlines == [10 * MS, 20 * MS, 50 * MS]
+
+
+@pytest.mark.parametrize(("few", "more", "good", "missed", "fatal"), [
+    (1000, [], True, 0, 0), (998, [9.0, 9.0], False, 0, 0), (9999, [10.0], True, 0, 0),
+    (9999, [10.1], False, 1, 0), (9999, [25.1], False, 1, 1),
+])  # fmt: skip
+def test_what_is_good_enough(few, more, good, missed, fatal):
+    late_ms = [0.1] * few + more
+    wakes = summarise_wakes((np.array(late_ms) * MS).astype(np.int64), 10 * MS)
+    assert (wakes.good, wakes.missed, wakes.fatal) == (good, missed, fatal)
+    assert (wakes.ticks, wakes.worst_ns) == (len(late_ms), round(max(late_ms) * MS))

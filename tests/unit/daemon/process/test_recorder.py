@@ -1,9 +1,12 @@
-"""Readers of the core's pipe: the recorder, whose file holds everything, and the learner."""
+"""Processes of a run: their jobs, ends and codes; the recorder, whose file holds everything."""
 
 import gc
 import os
+import socket
+import subprocess
 import sys
 import threading
+from contextlib import closing
 from dataclasses import replace
 from math import sin
 from types import SimpleNamespace
@@ -11,10 +14,13 @@ from types import SimpleNamespace
 import pytest
 
 from steerd.daemon.assembly.build import RunId, make_plan
+from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, pack_record
 from steerd.daemon.loop.core import make_core
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.process import recorder
+from steerd.daemon.process.child import Child
+from steerd.daemon.process.children import Ends, RunProcesses
 from steerd.daemon.process.core_process import latch_stray_exceptions, status_sink
 from steerd.daemon.process.learner import LearnerLoop
 from steerd.daemon.process.recorder import Recording, check_space, record_pipe
@@ -24,6 +30,107 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.session_read import SessionError, open_session
 
+WAITER = """
+import os
+from steerd.daemon.process.child import receive_job
+job = receive_job()
+if job is not None:
+    job.say_ready(word=job.about["word"], leads=os.getpgid(0) == os.getpid())
+    os.write(job.fds["answer"], b"done")
+"""
+
+
+@pytest.fixture
+def waiter(tmp_path, monkeypatch):
+    """A module that writes its job's word into the descriptor that it is given."""
+    (tmp_path / "waiting_job.py").write_text(WAITER)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    return "waiting_job"
+
+
+def test_a_job_comes_with_its_descriptors_by_name_and_may_be_long(waiter):
+    word = "long" * 100_000
+    read_fd, write_fd = os.pipe()
+    with closing(Child(waiter)) as child, os.fdopen(read_fd) as answer:
+        child.hand_over({"other": read_fd, "answer": write_fd}, {"word": word})
+        os.close(write_fd)
+        assert child.wait_ready("waiter") == {"word": word, "leads": True}
+        assert answer.read() == "done"
+        assert child.process.wait() == 0
+        os.close(child.ready_fd)
+
+
+def test_a_process_that_ends_before_it_is_ready_is_named_with_its_code(tmp_path, waiter):
+    (tmp_path / "ending.py").write_text("raise SystemExit(7)")
+    with pytest.raises(SteerdError, match="the recorder ended with code 7") as caught:
+        Child("ending").hand_over({}, {}).wait_ready("recorder")
+    assert caught.value.code is ExitCode.INTERNAL
+
+
+def test_without_a_job_it_ends_by_itself_and_whoever_hands_none_over_leaves_no_process(waiter):
+    waiting = Child(waiter)
+    waiting.end.close()
+    assert waiting.process.wait() == 0
+    with pytest.raises(ValueError, match="no such path"), closing(Child(waiter)) as waiting:
+        raise ValueError("no such path")
+    assert waiting.process.returncode is not None
+
+
+def test_a_process_that_has_ended_takes_no_job_and_its_descriptors_are_closed(waiter):
+    read_fd, write_fd = os.pipe()
+    waiting = Child(waiter)
+    waiting.process.kill()
+    waiting.process.wait()
+    waiting.hand_over({"answer": write_fd}, {"word": "late"})
+    os.close(write_fd)
+    for fd in (read_fd, waiting.ready_fd):
+        assert os.read(fd, 1) == b"", "nobody holds the other end"
+        os.close(fd)
+
+
+# Processes of a run: whose exit code counts in the end, and whose descriptors are whose.
+def ended(code):
+    """A child that has ended with a code."""
+    return SimpleNamespace(process=subprocess.Popen(["sh", "-c", f"exit {code}"]))
+
+
+@pytest.mark.parametrize(
+    ("core", "recorder", "viewer", "code"), [(0, 0, 0, 0), (0, 5, 0, 5), (3, 5, 0, 3), (0, 0, 9, 0)]
+)
+def test_the_cores_code_counts_then_the_recorders_never_the_viewers(
+    core, recorder, viewer, code, capsys
+):
+    ours, theirs = socket.socketpair()
+    codes = {"core": core, "recorder": recorder, "gateway": 0, "viewer": viewer}
+    children = {name: ended(each) for name, each in codes.items()}
+    run = RunProcesses(children, {"requests": ours.detach()}, {})
+    assert run.end() == code
+    assert theirs.recv(1) == b""  # the core's end of the requests sees that nobody asks any more
+    theirs.close()
+    assert ("the viewer ended with code 9" in capsys.readouterr().err) is (viewer == 9)
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_every_end_belongs_to_one_process_and_the_terminal_keeps_its_own(asked):
+    options = {"learn": asked, "adapt": asked, "view": "1" * asked, "view_sets": asked}
+    ends = Ends(RunOptions(car_file="", **options))
+    every = [fd for fds in ends.of.values() for fd in fds.values()]
+    assert len(set(every)) == len(every)
+    always = {"core", "recorder", "gateway", "terminal"}
+    assert set(ends.of) == always | ({"learner", "view"} if asked else set())
+    told = {name for name, fds in ends.of.items() if "reports" in fds}
+    assert told == ({"recorder", "gateway", "terminal", "view"} if asked else set())
+    ends.close(keep="terminal")
+    kept = set(ends.of["terminal"].values())
+    for fd in every:
+        if fd in kept:
+            os.close(fd)
+        else:
+            with pytest.raises(OSError, match="Bad file descriptor"):
+                os.fstat(fd)
+
+
+# Readers of the core's pipe: the recorder, whose file holds everything, and the learner.
 META = {
     "car": "car1", "metadata": {"steerd.session": {"car": "car1"}},
     "attachments": {"car.toml": "x = 1"}, "start_ns": 0,
@@ -143,17 +250,13 @@ def test_a_report_comes_once_a_second(loop):
     assert m.stamp_ns(reports[0].header) == EPOCH + reports[0].mono_ns
 
 
-def test_what_was_dropped_on_the_way_is_counted(loop):
-    last = fed(loop, [*range(50), *range(80, 250)])[-1]
-    assert decode(m.Model, last.data).dropped == 30
-
-
-def test_bytes_that_are_no_message_are_passed_over(loop):
+def test_bytes_that_are_no_message_are_passed_over_and_what_was_dropped_is_counted(loop):
     broken = replace(pose_record(60), data=b"\0\1\0\0 nonsense")
     assert loop.take(pose_record(0)) is loop.take(broken) is None
     numbers = (61, 62, 62, *range(63, 250))  # one twice: nothing is missing
-    assert [report.sequence for report in fed(loop, numbers)] == [0, 1]
-    assert loop.feed.dropped == 59
+    reports = fed(loop, numbers)
+    assert [report.sequence for report in reports] == [0, 1]
+    assert decode(m.Model, reports[-1].data).dropped == loop.feed.dropped == 59
 
 
 def test_reports_are_read_until_the_learner_ends(loop, pipe):

@@ -24,15 +24,7 @@ from tests.blank import NOW_NS, blank
 BODY = view.Body(0.16, 0.17, 0.27)
 
 
-def test_parameters_are_flat_and_cannot_be_set():
-    flat = view.make_parameters({"car": {"lf": 0.1}, "record": {"required": True}, "name": "x"})
-    assert flat == {"car.lf": 0.1, "record.required": 1.0, "name": "x"}
-    known = ViewServer("x", [], flat)
-    assert known.set({"car.lf": 9.0, "unknown": 1.0}) == {"car.lf": 0.1}
-    assert known.get([]) == flat
-
-
-def test_a_live_parameter_is_asked_for_and_keeps_its_value_until_the_car_changes_it():
+def test_a_live_parameter_is_asked_for_until_the_car_changes_it_and_others_cannot_be_set():
     asked = []
     known = ViewServer("x", [], {"live.speed": 1.5, "car.lf": 0.1}, asked.append)
     assert known.set({"live.speed": 1.25}) == {"live.speed": 1.5}
@@ -45,6 +37,11 @@ def test_a_live_parameter_is_asked_for_and_keeps_its_value_until_the_car_changes
     assert known.show({"live.speed": 1.25}) == {}
     unasked = ViewServer("x", [], {"live.speed": 1.5})
     assert unasked.set({"live.speed": 1.25}) == {"live.speed": 1.5}, "without leave of the run"
+    flat = view.make_parameters({"car": {"lf": 0.1}, "record": {"required": True}, "name": "x"})
+    assert flat == {"car.lf": 0.1, "record.required": 1.0, "name": "x"}
+    known = ViewServer("x", [], flat)
+    assert known.set({"car.lf": 9.0, "unknown": 1.0}) == {"car.lf": 0.1}
+    assert known.get([]) == flat
 
 
 def test_what_was_learnt_is_shown_with_its_standard_deviation_once_it_is_new():

@@ -32,6 +32,7 @@ from steerd.steer_bus.topics import find_topic
 pytestmark = pytest.mark.slow
 
 SECOND = 1_000_000_000
+FREE = ("--free", "steer_lag")  # what is searched before so short a drive is refused
 KEPT = (m.MocapPose, m.Actuation, m.StateMessage, m.Tick, m.Transition, m.VescTelemetry)
 
 
@@ -201,7 +202,7 @@ def test_bad_signals_and_times(drive, tmp_path, kind):
     records = BAD[kind](list(drive), np.random.default_rng(1))
     path = write(tmp_path / "a.mcap", records)
     assert check_info(path)[0] == 0
-    assert steerd("identify", path)[0] in (3, 4), "so short a drive teaches nothing"
+    assert steerd("identify", path, *FREE)[0] in (3, 4), "so short a drive teaches nothing"
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
 
 
@@ -209,7 +210,7 @@ def test_bad_signals_and_times(drive, tmp_path, kind):
 def test_bad_topics_schemas_and_encodings(drive, tmp_path, kind):
     path = write(tmp_path / "a.mcap", drive, **CHANNELS[kind])
     code, _, _ = check_info(path)
-    found, _, err = steerd("identify", path)
+    found, _, err = steerd("identify", path, *FREE)
     assert found in (3, 4)
     assert "renamed" not in kind or (code == 0 and ("mocap" in err or "pose" in err))
 
@@ -276,18 +277,6 @@ def test_what_is_no_file(tmp_path, command):
         assert err.startswith("steerd: ")
 
 
-def test_truncation_at_many_places(whole, put):  # 5, 6
-    """What is kept of each: test_session_damage."""
-    for percent in range(1, 100, 7):
-        path = put(whole[: len(whole) * percent // 100])
-        assert steerd("info", path, *["--json"] * (percent % 9 > 0))[0] in (0, 4)
-        code, out, err = steerd("recover", path)
-        assert (code == 0) == ("saved" in out)
-        assert code in (0, 4)
-        assert code or "warning: " in err
-        path.with_name("a.recovered.mcap").unlink(missing_ok=code != 0)
-
-
 def test_thousands_of_channels_and_messages_that_are_not_their_schema(tmp_path):  # 19
     names = [f"/steerd/blue/{name}" for name in ("mocap", *map(str, range(4000)))]
     writer = SessionWriter(tmp_path / "a.mcap", dict.fromkeys(names, m.MocapPose), CAR)
@@ -303,8 +292,10 @@ def test_recovery_names_its_file(whole, put, tmp_path):
     code, out, _ = steerd("recover", put(whole))
     assert code == 0
     assert "nothing to recover" in out
-    path = put(whole[:-100], "a.mcap.partial")
-    assert steerd("recover", path)[0] == 0
+    path = put(whole[: len(whole) // 2], "a.mcap.partial")
+    assert "warning: " in steerd("info", path)[2]
+    code, out, err = steerd("recover", path)
+    assert (code, "saved" in out, "warning: " in err) == (0, True, True)
     assert (tmp_path / "a.recovered.mcap").exists()
     code, _, err = steerd("recover", path)
     assert code == 2

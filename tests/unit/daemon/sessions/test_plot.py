@@ -1,4 +1,4 @@
-"""`steerd plot`: what is drawn is what was recorded, in a page that needs nothing else."""
+"""`steerd plot`: what is drawn of one drive, or of several, is what was recorded; nothing else."""
 
 import base64
 import json
@@ -6,16 +6,19 @@ import re
 import zlib
 from dataclasses import replace
 from math import nan
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from steerd.daemon.cli.main import run_cli
+from steerd.car_model.path.path_spec import parse_path
+from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.imports.import_session import MessageMaker
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.sessions import plot_data, plot_page
+from steerd.daemon.sessions import compare, plot_data, plot_page
+from steerd.daemon.sessions.compare import STEP, check_same_lane, find_shift, overlay
 from steerd.daemon.sessions.info import load_recording, load_session, make_session_report
 from steerd.daemon.sessions.motion import make_track
 from steerd.daemon.sessions.plot_data import LANE_HALF_WIDTH, Curve, make_curve, make_drawing
@@ -28,6 +31,9 @@ from steerd.steer_bus.container import TopicInfo
 from steerd.steer_bus.messages import BODY, Model, make_header
 from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.topics import MOCAP, MODEL, WHEEL, make_session_topic
+from steerd.sysid.report.drawing import LINES
+from steerd.sysid.report.page import render_report
+from steerd.sysid.report.report import Report
 
 EPOCH = 1_726_480_861_000_000_000
 
@@ -143,19 +149,13 @@ def test_the_lane_comes_from_the_session(tmp_path):
     assert lane_of("c", RunOptions("", drill="mixed;open")) is None
 
 
-def test_the_table_holds_the_curves_and_figures_are_the_same_each_time(tmp_path):
+def test_the_table_holds_the_curves(tmp_path, cli):
     path = write_noise(tmp_path / "a.mcap", 4, 50)
-    assert run_cli(["plot", str(path), "-o", str(tmp_path / "a.CSV")]) == 0
+    cli("plot", path, "-o", tmp_path / "a.CSV")
     table = np.genfromtxt(tmp_path / "a.CSV", delimiter=",", names=True, deletechars="")
     yaw = load_recording(path).session.columns(m.StateMessage)["yaw_rate"]
     assert table["t_[s]"][:3] == pytest.approx([0.0, 0.01, 0.02])
     assert table["yaw_rate:_estimate_[°/s]"][::2][:200] == pytest.approx(np.degrees(yaw), abs=1e-3)
-    for name, head in (("a.svg", b"<?xml"), ("a.png", b"\x89PNG"), ("a.pdf", b"%PDF")):
-        assert run_cli(["plot", str(path), "-o", str(tmp_path / name)]) == 0
-        first = (tmp_path / name).read_bytes()
-        assert first.startswith(head)
-        assert run_cli(["plot", str(path), "-o", str(tmp_path / name)]) == 0
-        assert (tmp_path / name).read_bytes() == first
 
 
 # Curves: no peak is lost, no break is bridged, what was packed comes out again.
@@ -237,6 +237,19 @@ def test_a_log_without_an_estimate_shows_the_speed_of_its_poses_beside_the_wheel
     assert dict(drawing.facts)["driven"] == "2.0 m"
 
 
+@pytest.mark.parametrize(("name", "head"), [
+    ("a.svg", b"<?xml"), ("a.png", b"\x89PNG"), ("a.pdf", b"%PDF"),
+])  # fmt: skip
+def test_figures_are_the_same_each_time(tmp_path, cli, name, head):
+    write(tmp_path / "a.mcap")
+    made = []
+    for _ in range(2):
+        cli("plot", tmp_path / "a.mcap", "-o", tmp_path / name)
+        made.append((tmp_path / name).read_bytes())
+    assert made[0] == made[1]
+    assert made[0].startswith(head)
+
+
 @pytest.mark.parametrize(("text", "width"), [
     ("[safety]\nlateral = 0.2\n", 0.2), ("[safety]\n", LANE_HALF_WIDTH), ("x", LANE_HALF_WIDTH),
 ])  # fmt: skip
@@ -268,7 +281,7 @@ def session(tmp_path):
     return load_recording(writer.finish({"reason": "end"}))
 
 
-def test_a_parameter_has_a_band_and_a_change_a_line(session):
+def test_a_parameter_that_was_learnt_has_a_band_and_a_change_a_line(session):
     panels = make_drawing(session).panels
     (panel,) = [p for p in panels if p.title == "learnt: steering bias"]
     value, above, below, change = panel.curves
@@ -276,8 +289,79 @@ def test_a_parameter_has_a_band_and_a_change_a_line(session):
     np.testing.assert_allclose(value.value, np.degrees(0.01), rtol=1e-5)
     np.testing.assert_allclose(above.value - below.value, np.degrees(4e-3), rtol=1e-4)
     assert (change.name, change.t[0]) == ("change: steer_bias", pytest.approx(5.5))
-
-
-def test_what_was_not_learnt_has_no_panel(session):
-    titles = [panel.title for panel in make_drawing(session).panels]
+    titles = [panel.title for panel in panels]
     assert titles == [title for title, _, fields, _ in plot_data.PANELS if "steer_bias" in fields]
+
+
+# Drives side by side: at the same place of one lane, and over the same time.
+CIRCLE = parse_path("circle:radius=2")
+
+
+def drive(name="a.mcap", offset=0.0, lane=CIRCLE):
+    along = np.linspace(0.0, 2.0 * lane.length, 5000)
+    wave = 0.02 * np.sin(2.0 * np.pi * along / lane.length)
+    values = {"e1": wave + offset, "e2": 0.1 * wave, "speed": 1.0 + wave, "steer_ref": wave}
+    return compare.LaneSession(name, lane, None, along % lane.length, values, 2.0)
+
+
+def test_places_of_different_lanes_are_not_compared():
+    check_same_lane([drive(), drive("b.mcap")])
+    other = drive("b.mcap", lane=parse_path("circle:radius=2.2"))
+    with pytest.raises(SteerdError, match=r"b\.mcap"):
+        check_same_lane([drive(), other])
+    with pytest.raises(SteerdError, match="at most"):
+        check_same_lane([drive()] * (len(LINES) + 1))
+
+
+def test_the_page_names_the_drives_and_their_errors():
+    sections = compare.compare_on_lane([drive("before.mcap", 0.03), drive("<b>.mcap", 0.001)])
+    page = render_report(Report("", sections, ""))
+    assert "before.mcap" in page
+    assert "<b>" not in page
+    assert "+30.0" in page
+    assert page.count("<svg") == 5
+
+
+def laps(rng, start, seconds, noise=0.02):
+    """Yaw rate and speed of laps of 8 s that begin `start` seconds before the recording."""
+    t = np.arange(0.0, seconds, STEP) + start
+    phase = 2.0 * np.pi * t / 8.0
+    ramp = np.clip(t / 2.0, 0.0, 1.0)
+    clean = (ramp * (np.sin(phase) + 0.4 * np.sin(3.0 * phase)), ramp * (1.5 + 0.1 * np.cos(phase)))
+    return [values + noise * rng.normal(size=t.size) for values in clean]
+
+
+@pytest.mark.parametrize("hole", [0, 500])
+@pytest.mark.parametrize("shift", [-1.3, 0.0, 0.05, 2.71])
+def test_the_shift_is_found_to_a_step_for_laps_of_unequal_length_with_a_hole(shift, hole):
+    rng = np.random.default_rng(5)
+    first, second = laps(rng, -3.0, 40.0), laps(rng, -3.0 + shift, 31.0)
+    first[0][900 : 900 + hole] = np.nan
+    assert find_shift(first, second) == pytest.approx(shift, abs=1.01 * STEP)
+
+
+def test_a_drive_is_itself_at_no_shift_and_another_at_a_given_one():
+    read = load_recording(Path(__file__).parents[3] / "golden" / "slalom.mcap")
+    same = overlay(read, read)
+    assert same.found
+    assert same.shift == 0.0
+    assert all(np.nanmax(np.abs(difference)) == 0.0 for *_, difference in same.pairs.values())
+    moved = overlay(read, read, 0.5)
+    known, later = same.pairs["speed [m/s]"][0], moved.pairs["speed [m/s]"][1]
+    np.testing.assert_allclose(later, known[: len(later)], atol=1e-9)
+    assert moved.t[0] == 0.5
+    with pytest.raises(SteerdError, match="no time in common"):
+        overlay(read, read, 1e3)
+
+
+def test_drives_without_a_lane_are_compared_over_time_alone(tmp_path, cli):
+    paths = [write_noise(tmp_path / f"{name}.mcap", 1, 20) for name in "ab"]
+    page = tmp_path / "ab.html"
+    cli("plot", *paths, "-o", page)
+    text = page.read_text(encoding="utf-8")
+    assert "Not compared along a lane: a.mcap" in text
+    assert "Over the same time" in text
+    assert "The difference is b.mcap minus a.mcap." in text
+    cli("plot", *paths, paths[0], "-o", page, code=ExitCode.INVALID)
+    said = cli("plot", *paths, paths[0], "--shift", "1", code=ExitCode.USAGE).err
+    assert "--shift is for two drives" in said

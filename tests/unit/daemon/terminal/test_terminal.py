@@ -285,14 +285,11 @@ def test_a_parked_or_faulted_car_is_let_go(state):
     assert desk.show(SupervisorState.ARMED).wait(1.0) == [], "armed again by somebody else"
 
 
-def test_an_arm_request_without_an_answer_is_held_until_the_answer_is_due():
+def test_an_arm_request_without_an_answer_is_held_until_it_is_due_and_disarm_lets_go_at_once():
     desk = Desk().show(SupervisorState.READY).press("a")
     assert desk.wait(1.5) == [KEYS["a"]] + [KEEPALIVE] * 30
     assert desk.wait(1.0) == []
     assert len(desk.press("a").wait(1.0)) == 21, "requested again, held again"
-
-
-def test_disarm_lets_go_at_once():
     desk = Desk().press("a").show(SupervisorState.ARMED)
     desk.wait(1.0)
     assert desk.press("d").wait(1.0) == [KEYS["d"]]
@@ -314,19 +311,16 @@ def after(keys, scaling=F1TENTH):
     return servo
 
 
-def test_moves_stay_between_0_and_1():
-    assert after("aaA").position == pytest.approx(0.5304 - 0.01 - 0.05)
-    assert after(["\x1b[C", "\x1b[D", "d"]).position == pytest.approx(0.5354)
-    assert (after("A" * 30).position, after("D" * 30).position) == (0.0, 1.0)
-
-
-def test_centre_and_stops_are_set_where_the_servo_is():
+def test_centre_and_stops_are_set_where_the_servo_is_between_0_and_1():
     s = after("dd" + "c" + "AAAA" + "l" + "DDDDDDDD" + "r").scaling
     found = (s.servo_offset, s.servo_min, s.servo_max)
     assert found == pytest.approx((0.5404, 0.3404, 0.7404))
     mirrored = Scaling(servo_gain=1.0, servo_offset=0.5)
     s = after("DDDlAAAAAAr", mirrored).scaling
     assert (s.servo_min, s.servo_max) == pytest.approx((0.35, 0.65))
+    assert after("aaA").position == pytest.approx(0.5304 - 0.01 - 0.05)
+    assert after(["\x1b[C", "\x1b[D", "d"]).position == pytest.approx(0.5354)
+    assert (after("A" * 30).position, after("D" * 30).position) == (0.0, 1.0)
 
 
 def test_stops_that_cannot_be_are_refused_and_other_keys_do_nothing():
