@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 HARDWARE = re.compile(r"/dev/tty|/dev/vesc|natnet://|vrpn://|zenoh:")
 OWN_EFFECT = re.compile(r"effects --(add|remove)|speed_pull")
-"""Run by tests/contract/test_new_effect.py, on an installation of its own."""
+"""Run by test_wheel.py, on an installation of its own."""
 OPERATOR = re.compile("arm|start|stop|disarm|clear|estop|status|control|watch|page|teleop")
 LONG = ("identify", "diagnose", "collect", "sweep", "batch")
 """Held by tests of their own, minutes long; here they are read by their parsers."""

@@ -27,7 +27,6 @@ from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.messages import BODY, OperatorRequest, RequestKind, make_header
 from steerd.steer_bus.topics import make_key
 from tests.blank import status_message
-from tests.browser import CHROMIUM, NO_BROWSER, browsing
 from tests.local_bus import LocalBus, LocalHub
 
 HEADER = make_header(0, BODY)
@@ -244,15 +243,12 @@ def test_its_stop_needs_no_status_and_survives_a_garbled_one(car):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not CHROMIUM, reason=NO_BROWSER)
-def test_in_a_browser_it_is_whole_and_its_buttons_work(car, tmp_path):
-    with served(car) as url, browsing() as browser:
-        for width in (1280, 420):
-            for dark in (False, True):
-                browser.open(url, width, dark=dark)
-                browser.wait("document.documentElement.dataset.ready === '1'")
-                assert (browser.faults_of_layout(), browser.console) == ([], [])
-                browser.screenshot(tmp_path / f"live-{width}-{dark}.png")
+def test_in_a_browser_it_is_whole_and_its_buttons_work(car, browser):
+    with served(car) as url:
+        for width, dark in ((1280, False), (420, True)):
+            browser.open(url, width, dark=dark)
+            browser.wait("document.documentElement.dataset.ready === '1'")
+            assert (browser.faults_of_layout(), browser.console) == ([], [])
         browser.ask("document.getElementById('arm').click()")
         browser.wait("!document.getElementById('start').disabled")
         browser.ask(
@@ -284,11 +280,10 @@ def test_in_a_browser_it_is_whole_and_its_buttons_work(car, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not CHROMIUM, reason=NO_BROWSER)
-def test_a_car_that_needs_no_holder_does_not_lack_one(car):
+def test_a_car_that_needs_no_holder_does_not_lack_one(car, browser):
     """As on simulated hardware with `--auto-arm`: it drives on, whoever is silent."""
     car.leased, car.state = "0", SupervisorState.RUNNING
-    with served(car) as url, browsing() as browser:
+    with served(car) as url:
         browser.open(url)
         browser.wait("document.getElementById('hold').textContent.includes('needs no holder')")
         asked = "document.getElementById('hold').textContent"
