@@ -138,7 +138,5 @@ def _attach(port: int) -> Iterator[Browser]:
     with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list", timeout=DEADLINE_S) as page:
         tabs = json.loads(page.read())
     address = next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
-    # Without pings: between two tests nobody reads, and what a page says may fill the queue.
-    limits = {"max_size": None, "open_timeout": DEADLINE_S, "ping_interval": None}
-    with connect(address, **limits) as socket:
+    with connect(address, max_size=None, open_timeout=DEADLINE_S) as socket:
         yield Browser(socket)

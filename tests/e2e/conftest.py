@@ -26,7 +26,6 @@ from steerd.daemon.offline.virtual import VirtualRun, drive
 from steerd.sim_hw.world import World
 from steerd.steer_bus.messages import Transition
 from steerd.steer_bus.session_read import open_session
-from tests.browser import CHROMIUM, NO_BROWSER, Browser, browsing
 from tests.contract.command_page import make_parser
 from tests.safety.live import free_endpoint
 
@@ -99,15 +98,6 @@ def drive_fast(tmp_path: Path) -> Drive:
         return driven
 
     return go
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    """One browser for every page that is looked at."""
-    if not CHROMIUM:
-        pytest.skip(NO_BROWSER)
-    with browsing() as one:
-        yield one
 
 
 # --- real time: processes
