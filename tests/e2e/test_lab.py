@@ -1,7 +1,6 @@
 """A run under a service manager, in a lab with certificates: who is heard, and what it says."""
 
 import select
-import signal
 import socket
 
 import pytest
@@ -46,8 +45,7 @@ def test_operators_command_viewers_watch_and_the_manager_hears_the_loop(
     assert "ESTOP" not in run.text, run.text
     cli("estop", "--lab", lab / "desk")
     heard = manager()
-    run.send(signal.SIGINT)
-    run.wait()
+    run.interrupt()
     assert "ESTOP" in run.text, run.text
     assert begun[0] == b"READY=1"
     assert heard.count(b"WATCHDOG=1") >= 2
