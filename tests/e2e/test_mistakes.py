@@ -164,10 +164,10 @@ SLOW = [
     (f"{MOCAP} natnet://127.0.0.1", 2, "natnet://127.0.0.1"),
     (f"{MOCAP} vrpn://no.such.host.invalid/car", 3, "no.such.host.invalid"),
     *(
-        (f"{command} --connect {{nobody}}", 6, "no steerd answers", "steerd run")
+        (f"{command} --connect {{nobody}}", 6, "no steerd answers", "`steerd run` first")
         for command in ("status", "arm", "start", "stop", "disarm")
     ),
-    ("control --connect {nobody}", 6, "no steerd answers", "steerd run --controller zenoh"),
+    ("control --connect {nobody}", 6, "no steerd answers", "`steerd run --controller zenoh` first"),
 ]
 """Of what learns, which loads what computes; of hardware, whose core is a process; of the bus."""
 

@@ -34,7 +34,7 @@ def pages(tmp_path_factory):
     """One page of each kind, all of one drive with a hidden effect."""
     folder = tmp_path_factory.mktemp("pages")
     session, car = folder / "late.mcap", folder / "car.toml"
-    drive = "run --sim --fast --path figure8 --speed 1.8 --duration 20 --effect steer_delay=0.05"
+    drive = "run --sim --fast --path figure8 --speed 1.8 --duration 24 --effect steer_delay=0.05"
     for line in (
         f"{drive} --record {session}",
         f"plot {session} -o {folder}/drive.html",

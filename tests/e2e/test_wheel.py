@@ -7,6 +7,8 @@ python-daemon, whose `daemon` package once wrote over ours. Dependencies are tho
 import importlib.metadata
 import json
 import os
+import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -17,12 +19,12 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
+from steerd.car_model.native import library
 from steerd.version import VERSION
 from tests.contract.size import ROOMS, ROOT
 
 pytestmark = pytest.mark.slow
 
-MORE_LEVELS = '"v4": "x86-64-v4", "v3": "x86-64-v3", '
 LANE = "run --sim --fast --path figure8 --speed 1.8"
 PULL = 0.012  # wheel angle per speed that the simulated car has [rad s/m]
 PAGE = (ROOT / "docs" / "how-to" / "your-own-effect.md").read_text()
@@ -43,11 +45,13 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     unwanted = shutil.ignore_patterns(".[!g]*", ".git", "__pycache__", "*.mcap", "docs", "tests")
     shutil.copytree(ROOT, folder / "checkout", symlinks=True, ignore=unwanted)
-    # For one level of processors, a third of the time; the library of the checkout has them all.
-    levels = folder / "checkout" / "car_model" / "native" / "library.py"
-    text = levels.read_text()
-    assert text.count(MORE_LEVELS) == 1
-    levels.write_text(text.replace(MORE_LEVELS, ""))
+    # For this processor's level alone: the library of the checkout has all of them.
+    loader = folder / "checkout" / "car_model" / "native" / "library.py"
+    level = library._level()
+    own = {level: library.LEVELS.get(platform.machine(), {}).get(level, "")}
+    text, count = re.subn(r'("x86_64": )\{.*\}', rf"\1{own}", loader.read_text())
+    assert count == 1
+    loader.write_text(text)
     archive = build("sdist", folder / "checkout", folder / "sdist")
     with tarfile.open(archive) as packed:
         packed.extractall(folder / "unpacked", filter="data")
