@@ -13,7 +13,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(not CHROMIUM, reason=NO_BROWS
 
 PAGES = ("drive", "compare", "sessions", "identify", "gap", "sweep", "batch")
 SWEEP = """
-seeds = 2
+seeds = 4
 duration = 3.5
 [vary]
 path = ["figure8", "circle:radius=2,dir=cw"]
@@ -42,7 +42,7 @@ def pages(tmp_path_factory):
         f"plot {session} {folder}/prompt.mcap -o {folder}/compare.html",
         f"sessions --folder {folder} --page",
         f"identify {session} -o {car} --report {folder}/identify.html",
-        f"diagnose {session} --no-pairs --report {folder}/gap.html",
+        f"diagnose {session} --report {folder}/gap.html",
     ):
         assert run_cli(line.split()) == 0, line
     # The pages of many drives: a short sweep, and a drive copied to eight days.
