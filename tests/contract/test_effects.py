@@ -1,6 +1,7 @@
 """Every effect: nothing at its null, bounds, gradients; the operations over every number type."""
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -58,22 +59,22 @@ def ordinary(effect: Effect) -> tuple[float, ...]:
     )
 
 
-@pytest.mark.parametrize("effect", EVERY)
-@pytest.mark.parametrize("seed", range(6))
-def test_null_is_bit_identical_with_floats(effect: Effect, seed: int) -> None:
-    model = Model(DEFAULT_CAR, (effect,), (effect.nulls,))
-    assert drive(FLOAT, model, seed, float) == drive(FLOAT, Model(DEFAULT_CAR), seed, float)
+@cache
+def drive_floats(seed: int, *given: tuple[Effect, tuple[float, ...]]) -> list[float]:
+    effects, values = zip(*given, strict=True) if given else ((), ())
+    return drive(FLOAT, Model(DEFAULT_CAR, effects, values), seed, float)
 
 
 @pytest.mark.parametrize("effect", EVERY)
-def test_an_ordinary_severity_changes_the_run_and_bounds_keep_it_finite(effect: Effect) -> None:
+def test_the_null_changes_no_bit_and_other_values_a_run_that_stays_finite(effect: Effect) -> None:
+    for seed in range(6):
+        assert drive_floats(seed, (effect, effect.nulls)) == drive_floats(seed)
     for seed in range(4):
-        run = drive(FLOAT, Model(DEFAULT_CAR, (effect,), (ordinary(effect),)), seed, float)
-        assert run != drive(FLOAT, Model(DEFAULT_CAR), seed, float)
+        run = drive_floats(seed, (effect, ordinary(effect)))
+        assert run != drive_floats(seed)
         assert all(map(math.isfinite, run))
     for values in zip(*((p.low, p.high) for p in effect.parameters), strict=True):
-        run = drive(FLOAT, Model(DEFAULT_CAR, (effect,), (values,)), 3, float)
-        assert all(map(math.isfinite, run))
+        assert all(map(math.isfinite, drive_floats(3, (effect, values))))
 
 
 @pytest.mark.parametrize("effect", EVERY)
@@ -81,10 +82,9 @@ def test_bounds_hold_the_null_and_what_the_diagnosis_knows_fits_together(effect:
     assert effect.parameters
     for p in effect.parameters:
         assert all(map(math.isfinite, (p.null, p.low, p.high, p.scale)))
-        assert p.low <= p.null <= p.high
         assert p.low < p.high
+        assert all(p.low <= value <= p.high for value in (p.null, *p.scan))
         assert p.scale > 0.0
-        assert all(p.low <= value <= p.high for value in p.scan)
         assert p.unit
         assert p.meaning
     others = effect.confounded_with.effects if effect.confounded_with else ()

@@ -165,6 +165,11 @@ class Program:
     def send(self, number: int) -> None:
         self.process.send_signal(number)
 
+    def interrupt(self) -> int:
+        """Ctrl-C; its exit code."""
+        self.send(signal.SIGINT)
+        return self.wait()
+
     def child(self, module: str) -> int:
         """The process of one of its parts, by its module's name."""
         for pid in children(self.process.pid):
@@ -201,15 +206,12 @@ class Launcher:
         self._started.append(Program(*map(str, argv), **options))
         return self._started[-1]
 
-    def run(self, *argv: object) -> tuple[int, str]:
-        program = self(*argv)
-        return program.wait(), program.text
-
-    def script(self, *argv: str) -> Program:
-        return self(*argv, module=())
-
     def sim(self, folder: Path, *more: str) -> tuple[str, str]:
-        """Simulated hardware on the test's terms: its port and mocap address."""
+        """Simulated hardware on the test's terms: its port and mocap address.
+
+        On a port a tick that comes 25 ms late stops the car (W15), and so do mocap and telemetry
+        that a stalled simulator keeps back (W1, W7): what drives so is marked `realtime`.
+        """
         sim = self("sim", "--link-dir", folder, "--seed", "3", *more)
         url = sim.expect(r"mocap: (\S+)\n")[1]
         # Hardware does not wait for this machine's other programs; below the core's own priority.
@@ -231,9 +233,6 @@ def steerd() -> Iterator[Launcher]:
     launcher.close()
 
 
-LATE = re.compile(r"\bW(1|7|15) ")
-
-
 def changes(session: Path) -> list[Transition]:
     """The supervisor's changes in a session, finished or not."""
     path = session if session.exists() else session.with_name(session.name + ".partial")
@@ -250,36 +249,3 @@ def replays(session: Path, capsys: pytest.CaptureFixture[str]) -> bool:
     said = capsys.readouterr().out
     assert re.fullmatch(r"\d{3,} commands replayed: all equal the recorded ones\n", said), said
     return code == 0
-
-
-Scenario = Callable[[Launcher, Path], object]
-
-
-@pytest.fixture
-def undisturbed(tmp_path: Path) -> Callable[[Scenario], None]:
-    """Run a scenario on "hardware"; once more if the machine stopped it.
-
-    On a real port a tick that comes 25 ms late stops the car (W15), and so do mocap and telemetry
-    that a stalled simulator keeps back (W1, W7): rightly so, and a shared virtual machine stalls
-    for longer now and then. Only then, and only if the session itself says so, there is a second
-    try.
-    """
-
-    def attempt(scenario: Scenario, folder: Path) -> None:
-        folder.mkdir()
-        with contextlib.closing(Launcher()) as launcher:
-            scenario(launcher, folder)
-
-    def run(scenario: Scenario) -> None:
-        try:
-            attempt(scenario, tmp_path / "first")
-        except AssertionError as error:
-            told = [change.text for change in changes(tmp_path / "first" / "drive.mcap")]
-            print(f"first attempt: {told[-4:]}; {str(error)[:500]}")
-            if not any(LATE.search(text) for text in told):
-                raise
-        else:
-            return
-        attempt(scenario, tmp_path / "second")
-
-    return run

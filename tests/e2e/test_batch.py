@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import tomllib
 from pathlib import Path
 
 import polars
@@ -87,7 +88,6 @@ def test_a_session_is_diagnosed_with_its_cars_own_file(fleet, tmp_path):
 
 
 # `steerd sweep` and `steerd.sweep`: a table, a page, going on after Ctrl-C, the same bytes.
-VARY = {"effect.steer_delay": {"low": 0.0, "high": 0.05}, "car.mass": [3.0, 4.5]}
 TEXT = """
 seeds = 2
 duration = 3.6
@@ -108,7 +108,7 @@ def file(tmp_path):
 def whole(tmp_path_factory):
     """The table of the sweep, driven in one piece in this process."""
     path = tmp_path_factory.mktemp("whole") / "whole.parquet"
-    found = steerd.sweep(VARY, seeds=2, duration=3.6, jobs=1, output=path)
+    found = steerd.sweep(tomllib.loads(TEXT)["vary"], seeds=2, duration=3.6, jobs=1, output=path)
     assert len(found.rows) == 4
     return path.read_bytes()
 

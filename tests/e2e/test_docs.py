@@ -5,10 +5,10 @@ drives that differ only in values, or by options left out, the longest is driven
 are planned: parsed, their addresses read, path and controller made.
 """
 
-import argparse
 import re
 import shlex
 import signal
+from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,19 +16,21 @@ import pytest
 
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.cli.commands.run import make_options
-from steerd.daemon.cli.main import COMMANDS, find_command, run_cli
+from steerd.daemon.cli.main import COMMANDS, run_cli
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.settings.car_edit import make_vesc_yaml
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.vesc_link.scaling import F1TENTH
+from tests.contract.command_page import make_parser
 from tests.e2e.conftest import Launcher
 from tests.safety.live import free_port
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PLACEHOLDER = re.compile(r"…|\b(COMMAND|SESSION|NAME|DEV|DIR|URL|MAP\.toml|FILE\.toml)\b")
 HARDWARE = re.compile(r"/dev/tty|/dev/vesc|natnet://|vrpn://|zenoh:")
 OWN_EFFECT = re.compile(r"effects --(add|remove)|speed_pull")
-"""Run by tests/contract/test_new_effect.py, on an installation of its own."""
+"""Run by test_wheel.py, on an installation of its own."""
 OPERATOR = re.compile("arm|start|stop|disarm|clear|estop|status|control|watch|page|teleop")
 LONG = ("identify", "diagnose", "collect", "sweep", "batch")
 """Held by tests of their own, minutes long; here they are read by their parsers."""
@@ -62,15 +64,7 @@ def arguments_of(command):
 
 
 def parse(arguments):
-    parser = argparse.ArgumentParser()
-    find_command(arguments[0]).add_arguments(parser)
-    return parser.parse_args(arguments[1:])
-
-
-def is_prose(command):
-    """A name of a command rather than a line to type: placeholders in it."""
-    words = r"…|\b(COMMAND|SESSION|NAME|DEV|DIR|URL|MAP\.toml|FILE\.toml)\b"
-    return bool(re.search(words, command))
+    return make_parser(arguments[0]).parse_args(arguments[1:])
 
 
 driven = pytest.fixture(lambda: {}, scope="module")
@@ -109,7 +103,7 @@ def shortened(arguments):
 def kind_of(command):
     """How a command line is looked at."""
     arguments = arguments_of(command)
-    if is_prose(command):
+    if PLACEHOLDER.search(command):  # a name of a command rather than a line to type
         return "prose"
     if OPERATOR.fullmatch(arguments[0]) or arguments[0] in LONG:
         return "parsed"
@@ -190,9 +184,8 @@ def test_what_is_driven_with_the_same_options_elsewhere_is_planned(command, work
 
 @pytest.fixture(scope="module")
 def hardware(tmp_path_factory):
-    launcher = Launcher()
-    yield launcher.sim(tmp_path_factory.mktemp("hardware"))
-    launcher.close()
+    with closing(Launcher()) as launcher:
+        yield launcher.sim(tmp_path_factory.mktemp("hardware"))
 
 
 @pytest.mark.realtime

@@ -1,9 +1,7 @@
 """A recorder that stood still: the session says what it lacks, and nobody fits across it."""
 
-import contextlib
-import io
 import os
-import threading
+from itertools import groupby
 
 import pytest
 
@@ -11,7 +9,7 @@ from steerd.daemon.analysis.drives import load_drive
 from steerd.daemon.analysis.options import Watch
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.ipc import pipe_records
-from steerd.daemon.process.recorder import Recording, record_pipe
+from steerd.daemon.process.recorder import Recording
 from steerd.steer_bus.session_read import open_session
 from steerd.steer_bus.topics import find_topic
 from steerd.sysid.data.dataset import read_run
@@ -26,64 +24,50 @@ FROM, UNTIL = 8.0, 14.0  # when the recorder stands still [s]; a pipe takes some
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
     path = tmp_path_factory.mktemp("drive") / "whole.mcap"
-    with contextlib.redirect_stdout(io.StringIO()):
-        words = ["run", "--sim", "--fast", "--path", "figure8", "--speed", "1.5"]
-        assert run_cli([*words, "--duration", "20", "--record", str(path)]) == 0
+    words = ["run", "--sim", "--fast", "--path", "figure8", "--speed", "1.5"]
+    assert run_cli([*words, "--duration", "20", "--record", str(path)]) == 0
     return path
 
 
-def ticks(session):
-    """The records of a session as the core sends them: those of one time together."""
-    batch = []
-    for r in session.messages():
-        topic, times = find_topic(r.topic), (r.log_ns, r.publish_ns)
-        record = pipe_records.PipeRecord(topic, r.sequence, *times, r.data)
-        if batch and batch[-1].log_time_ns != record.log_time_ns:
-            yield batch
-            batch = []
-        batch.append(record)
-    yield batch
+def pack_again(r):
+    topic = find_topic(r.topic)
+    return pipe_records.pack_record(
+        pipe_records.PipeRecord(topic, r.sequence, r.log_ns, r.publish_ns, r.data)
+    )
 
 
-def through_a_pipe(whole, out, still):
-    """Record a session again through the core's pipe, of which nobody reads for a while."""
+def record_again(whole, out, still=(0.0, 0.0), lost=(0.0, 0.0)):
+    """Record a session again through the core's pipe, of which nobody reads for a while.
+
+    What is sent while it is `lost` does not come at all.
+    """
     session = open_session(whole)
-    start_ns = session.info().start_ns
+    info = session.info()
+    files = {a.name: a.data.decode() for a in session.attachments()}
+    about = {"path": out, "car": "car1", "metadata": info.metadata, "start_ns": 0}
+    recording = Recording({**about, "attachments": files})
     read_fd, write_fd = pipe_records.make_pipe()
-    writer, came = pipe_records.PipeWriter(write_fd), bytearray()
-    os.set_blocking(read_fd, False)
-    for batch in ticks(session):
-        writer.write([pipe_records.pack_record(record) for record in batch], batch[0].log_time_ns)
-        if not still[0] <= (batch[0].log_time_ns - start_ns) / NS < still[1]:
-            with contextlib.suppress(BlockingIOError):
-                while data := os.read(read_fd, 1 << 20):
-                    came += data
-    meta = {"path": out, "car": "car1", "metadata": session.info().metadata, "start_ns": 0}
-    meta["attachments"] = {a.name: a.data.decode() for a in session.attachments()}
-    recording = Recording(meta)
-    ours, theirs = os.pipe()
-
-    def send():
-        with os.fdopen(theirs, "wb") as end:
-            end.write(came)
-
-    thread = threading.Thread(target=send)
-    thread.start()
-    reason = record_pipe(recording, pipe_records.PipeReader(ours), 0, pipe_records.PipeReader(None))
-    thread.join()
-    for fd in (read_fd, write_fd):
-        os.close(fd)
-    return recording.finish(reason), writer.dropped
+    reader, writer = pipe_records.PipeReader(read_fd), pipe_records.PipeWriter(write_fd)
+    for t_ns, batch in groupby(session.messages(), lambda r: r.log_ns):
+        t = (t_ns - info.start_ns) / NS
+        if not lost[0] <= t < lost[1]:
+            writer.write([pack_again(record) for record in batch], t_ns)
+        if not still[0] <= t < still[1]:
+            for record in reader.take():
+                recording.take(record)
+    reader.close()
+    os.close(write_fd)
+    return recording.finish("end of the run"), writer.dropped
 
 
 @pytest.fixture(scope="module")
 def holed(drive, tmp_path_factory):
     path = tmp_path_factory.mktemp("holed") / "holed.mcap"
-    return path, *through_a_pipe(drive, path, (FROM, UNTIL))
+    return path, *record_again(drive, path, still=(FROM, UNTIL))
 
 
 def test_a_recorder_that_keeps_up_says_nothing(drive, tmp_path, cli):
-    said, dropped = through_a_pipe(drive, tmp_path / "again.mcap", (0.0, 0.0))
+    said, dropped = record_again(drive, tmp_path / "again.mcap")
     assert (said, dropped, open_session(tmp_path / "again.mcap").holes()) == ("", 0, ())
     assert cli("info", tmp_path / "again.mcap").err == ""
 
@@ -97,10 +81,8 @@ def test_the_recorder_says_how_many_and_where_and_a_drive_is_cut_there(holed):
     assert (last - start_ns) / NS == pytest.approx(UNTIL, abs=0.05)
     assert said.startswith(f"{dropped} records were dropped within ")
     watch = Watch()
-    _, run = load_drive(path, "command", watch)
-    ((first, last),) = pauses(run)
-    ((hole_ns, end_ns),) = open_session(path).holes()
-    assert last - first >= (end_ns - hole_ns) / NS
+    ((before, after),) = pauses(load_drive(path, "command", watch)[1])
+    assert after - before >= (last - first) / NS
     assert f"{path.name}: {said}" in watch.warnings
 
 
@@ -113,15 +95,8 @@ def test_info_plot_and_catalogue_show_it(holed, cli):
 
 
 def test_a_hole_of_a_tick_is_a_pause_too(drive, tmp_path):
-    whole = open_session(drive)
-    middle = whole.info().start_ns + 10 * NS
     out = tmp_path / "short.mcap"
-    given = {"metadata": whole.info().metadata, "attachments": {}, "start_ns": 0}
-    recording = Recording({"path": out, "car": "car1", **given})
-    for batch in ticks(whole):
-        if not middle <= batch[0].log_time_ns < middle + NS // 50:
-            for record in batch:
-                recording.take(record)
-    assert recording.finish("end of the run")
+    said, _ = record_again(drive, out, lost=(10.0, 10.02))
+    assert "records were dropped" in said
     ((first, last),) = pauses(read_run(open_session(out)))
     assert 0.3 <= last - first < 0.4

@@ -90,30 +90,24 @@ def arm_and_start(steerd):
     return arm, go
 
 
-def test_arm_start_stop_from_other_terminals_over_natnet(undisturbed, capsys) -> None:
-    def scenario(steerd, folder):
-        port, url = steerd.sim(folder)
-        run, record = start_run(steerd, folder, "--port", port, "--mocap", url)
-        run.expect("READY")
-        bus = ("--connect", steerd.endpoint)
-        code, said = steerd.run("start", *bus)
-        assert (code, "not ARMED" in said, "Traceback" in said) == (5, True, False), said
-        with closing(Watcher(steerd.endpoint)) as watcher:
-            arm, go = arm_and_start(steerd)
-            watcher.driving(run, 1.0)
-            code, said = steerd.run("status", *bus)
-            assert (code, said.startswith("car1: RUNNING")) == (0, True), said
-            watcher.driving(run, 1.5)
-            assert steerd.run("stop", *bus)[0] == 0
-            assert watcher.stopped(run) is SupervisorState.STOPPING
-        assert go.wait() == 0, go.text
-        run.send(signal.SIGINT)
-        assert run.wait() == 0, run.text
-        assert arm.wait() == 0, arm.text
-        assert "Traceback" not in run.text
-        assert kept_its_lane(record, 0.03, capsys)
-
-    undisturbed(scenario)
+def test_arm_start_stop_from_other_terminals_over_natnet(steerd, tmp_path, cli, capsys) -> None:
+    port, url = steerd.sim(tmp_path)
+    run, record = start_run(steerd, tmp_path, "--port", port, "--mocap", url)
+    run.expect("READY")
+    bus = ("--connect", steerd.endpoint)
+    assert "not ARMED" in cli("start", *bus, code=5).err
+    with closing(Watcher(steerd.endpoint)) as watcher:
+        arm, go = arm_and_start(steerd)
+        watcher.driving(run, 1.0)
+        assert cli("status", *bus).out.startswith("car1: RUNNING")
+        watcher.driving(run, 1.5)
+        cli("stop", *bus)
+        assert watcher.stopped(run) is SupervisorState.STOPPING
+    assert go.wait() == 0, go.text
+    assert run.interrupt() == 0, run.text
+    assert arm.wait() == 0, arm.text
+    assert "Traceback" not in run.text
+    assert kept_its_lane(record, 0.03, capsys)
 
 
 class Keyboard:
@@ -128,71 +122,60 @@ class Keyboard:
         os.close(self.theirs)
 
 
-def test_keys_of_its_own_terminal_over_vrpn(undisturbed, capsys) -> None:
-    def scenario(steerd, folder):
-        port, url = steerd.sim(folder, "--mocap", "vrpn")
-        assert url.startswith("vrpn://")
-        with closing(Keyboard()) as keys:
-            argv = ("--port", port, "--mocap", url)
-            run, record = start_run(steerd, folder, *argv, stdin=keys.theirs)
-            run.expect("READY")
-            keys.press("a")
-            run.expect(r"\bARMED")
-            keys.press("s")
-            run.expect("RUNNING")
-            with closing(Watcher(steerd.endpoint)) as watcher:
-                watcher.driving(run, 2.0)
-                keys.press(" ")
-                assert watcher.stopped(run) is SupervisorState.STOPPING
-            keys.press("q")
-            assert run.wait() == 0, run.text
-        assert kept_its_lane(record, 0.03, capsys)
-
-    undisturbed(scenario)
-
-
-def test_poses_from_the_bus(undisturbed, capsys) -> None:
-    """`--mocap zenoh:KEY`, fed by the example program, which reads them from NatNet."""
-
-    def scenario(steerd, folder):
-        port, url = steerd.sim(folder)
-        run, record = start_run(steerd, folder, "--port", port, "--mocap", "zenoh:lab/pose/car")
-        run.expect("first pose")
-        argv = [str(EXAMPLES / "publish_poses.py"), url, "--key", "lab/pose/car"]
-        steerd.script(*argv, "--connect", steerd.endpoint)
+def test_keys_of_its_own_terminal_over_vrpn(steerd, tmp_path, capsys) -> None:
+    port, url = steerd.sim(tmp_path, "--mocap", "vrpn")
+    assert url.startswith("vrpn://")
+    with closing(Keyboard()) as keys:
+        argv = ("--port", port, "--mocap", url)
+        run, record = start_run(steerd, tmp_path, *argv, stdin=keys.theirs)
         run.expect("READY")
-        _, go = arm_and_start(steerd)
+        keys.press("a")
+        run.expect(r"\bARMED")
+        keys.press("s")
+        run.expect("RUNNING")
         with closing(Watcher(steerd.endpoint)) as watcher:
-            assert watcher.driving(run, 2.0).mode == SupervisorState.RUNNING, run.text
-            go.send(signal.SIGINT)
+            watcher.driving(run, 2.0)
+            keys.press(" ")
             assert watcher.stopped(run) is SupervisorState.STOPPING
-        assert go.wait() == 0, go.text
-        run.send(signal.SIGINT)
+        keys.press("q")
         assert run.wait() == 0, run.text
-        assert kept_its_lane(record, 0.05, capsys)
-
-    undisturbed(scenario)
+    assert kept_its_lane(record, 0.03, capsys)
 
 
-def test_a_plan_is_driven_and_its_session_identifies(undisturbed) -> None:
-    def scenario(steerd, folder):
-        port, url = steerd.sim(folder)
-        record = folder / "drive.mcap"
-        run = steerd("collect", "--listen", steerd.endpoint, "--record", record, "--port", port,
-                     "--mocap", url, "--plan", "steps", "--box", 14, "--duration", 4)  # fmt: skip
-        run.expect("READY")
-        _, go = arm_and_start(steerd)
-        assert run.wait() == 0, run.text
-        assert go.wait() == 0, go.text
-        assert "end of the run" in run.text
-        asked = open_session(record).columns(m.Actuation)
-        assert np.ptp(asked["steer"][asked["mode"] == m.ActuationMode.SPEED]) > 0.05
-        read = read_run(open_session(record))
-        assert read.duration > 2.5
-        assert read.servo_frame == 0.02
-        assert np.ptp(read.pose.values[:, 0]) > 1.0
+def test_poses_from_the_bus(steerd, tmp_path, capsys) -> None:
+    """`--mocap zenoh:KEY`, fed by the example program, which reads them from NatNet."""
+    port, url = steerd.sim(tmp_path)
+    run, record = start_run(steerd, tmp_path, "--port", port, "--mocap", "zenoh:lab/pose/car")
+    run.expect("first pose")
+    argv = (EXAMPLES / "publish_poses.py", url, "--key", "lab/pose/car")
+    steerd(*argv, "--connect", steerd.endpoint, module=())
+    run.expect("READY")
+    _, go = arm_and_start(steerd)
+    with closing(Watcher(steerd.endpoint)) as watcher:
+        assert watcher.driving(run, 2.0).mode == SupervisorState.RUNNING, run.text
+        go.send(signal.SIGINT)
+        assert watcher.stopped(run) is SupervisorState.STOPPING
+    assert go.wait() == 0, go.text
+    assert run.interrupt() == 0, run.text
+    assert kept_its_lane(record, 0.05, capsys)
 
-    undisturbed(scenario)
+
+def test_a_plan_is_driven_and_its_session_identifies(steerd, tmp_path) -> None:
+    port, url = steerd.sim(tmp_path)
+    record = tmp_path / "drive.mcap"
+    run = steerd("collect", "--listen", steerd.endpoint, "--record", record, "--port", port,
+                 "--mocap", url, "--plan", "steps", "--box", 14, "--duration", 4)  # fmt: skip
+    run.expect("READY")
+    _, go = arm_and_start(steerd)
+    assert run.wait() == 0, run.text
+    assert go.wait() == 0, go.text
+    assert "end of the run" in run.text
+    asked = open_session(record).columns(m.Actuation)
+    assert np.ptp(asked["steer"][asked["mode"] == m.ActuationMode.SPEED]) > 0.05
+    read = read_run(open_session(record))
+    assert read.duration > 2.5
+    assert read.servo_frame == 0.02
+    assert np.ptp(read.pose.values[:, 0]) > 1.0
 
 
 # --- simulated hardware of its own: a stalled machine is reported and stops no car
@@ -221,8 +204,7 @@ def test_an_external_controller_drives_and_its_silence_stops_the_car(
         assert watcher.seen[-1].mode == SupervisorState.RUNNING, run.text
         watcher.stopped_by_silence(run, keeper, end)
     keeper.send(signal.SIGKILL)
-    run.send(signal.SIGINT)
-    run.wait()
+    run.interrupt()
     assert "W25 " in next(c.text for c in changes(record) if c.to_state in STOPS)
     assert open_session(record).columns(m.DriveCommand)["seq"].size > 100
     assert kept_its_lane(record, 0.05, capsys)

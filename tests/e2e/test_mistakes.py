@@ -163,8 +163,13 @@ SLOW = [
     (f"{MOCAP} ros2://pf", 2, "a topic is like ros2:///pf/pose/odom"),
     (f"{MOCAP} natnet://127.0.0.1", 2, "natnet://127.0.0.1"),
     (f"{MOCAP} vrpn://no.such.host.invalid/car", 3, "no.such.host.invalid"),
+    *(
+        (f"{command} --connect {{nobody}}", 6, "no steerd answers", "`steerd run` first")
+        for command in ("status", "arm", "start", "stop", "disarm")
+    ),
+    ("control --connect {nobody}", 6, "no steerd answers", "`steerd run --controller zenoh` first"),
 ]
-"""Of what learns, which loads what computes, and of hardware, whose core is a process."""
+"""Of what learns, which loads what computes; of hardware, whose core is a process; of the bus."""
 
 
 @pytest.fixture(scope="module")
@@ -176,26 +181,23 @@ def log(tmp_path_factory):
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> Path:
-    (tmp_path / "notes.csv").write_text("neither a path nor a session\n")
-    (tmp_path / "broken.toml").write_text("[car\nmass = 3\n")
-    (tmp_path / "odd.toml").write_text("[car]\nmass = 'heavy'\n")
+def place(tmp_path: Path, log: Path) -> Path:
+    """Bad files, a log, its session, another copy of that, and a sweep file."""
     text = default_car_path().read_text().replace('design = "lqr" ', 'design = "pole_placement" ')
     unstable = text.replace("[-150.0, 15.0], [-150.0, -15.0]", "[-8.0, 3.0], [-8.0, -3.0]")
-    (tmp_path / "pole.toml").write_text(unstable)
-    return tmp_path
-
-
-@pytest.fixture
-def full_place(place, log):
-    """With a log, its session, another copy of that, and a sweep file."""
+    files = {
+        "notes.csv": "neither a path nor a session\n", "broken.toml": "[car\nmass = 3\n",
+        "odd.toml": "[car]\nmass = 'heavy'\n", "pole.toml": unstable,
+        "sweep.toml": 'seeds = 2\nduration = 3.6\n[vary]\n"car.mass" = [3.0, 4.5]',
+    }  # fmt: skip
+    for name, data in files.items():
+        (tmp_path / name).write_text(data)
     for name in ("run.csv", "map.toml", "run.mcap"):
-        shutil.copy(log / name, place)
-    shutil.copy(log / "run.mcap", place / "drive.backup")
-    (place / "sweep.toml").write_text('seeds = 2\nduration = 3.6\n[vary]\n"car.mass" = [3.0, 4.5]')
-    (place / "run.db3.zstd").write_bytes(b"(\xb5/\xfd")
-    (place / "empty").mkdir()
-    return place
+        shutil.copy(log / name, tmp_path)
+    shutil.copy(log / "run.mcap", tmp_path / "drive.backup")
+    (tmp_path / "run.db3.zstd").write_bytes(b"(\xb5/\xfd")
+    (tmp_path / "empty").mkdir()
+    return tmp_path
 
 
 @pytest.fixture
@@ -224,37 +226,29 @@ def content(place: Path) -> list[tuple[Path, int]]:
     *((line, code, parts) for line, code, *parts in TABLE),
     *(pytest.param(line, code, parts, marks=pytest.mark.slow) for line, code, *parts in SLOW),
 ])  # fmt: skip
-def test_a_mistake_is_reported_in_a_line(line, code, parts, full_place, log, tty, cli, monkeypatch):
+def test_a_mistake_is_reported_in_a_line(line, code, parts, place, log, tty, cli, monkeypatch):
     monkeypatch.setenv("MPLCONFIGDIR", str(log))
     for name in ("STATE_DIRECTORY", "XDG_CONFIG_HOME"):
-        monkeypatch.setenv(name, str(full_place))
-    before = content(full_place)
-    places = {"tmp": full_place, "run": full_place / "run.mcap", "tty": tty}
+        monkeypatch.setenv(name, str(place))
+    before = content(place)
+    places = {"tmp": place, "run": place / "run.mcap", "tty": tty, "nobody": free_endpoint()}
     said = cli(*[word.format(**places) for word in shlex.split(line)], code=code)
     is_clear(said.err, parts)
     assert said.out == ""
-    assert content(full_place) == before
+    assert content(place) == before
 
 
 # --- those that only the running processes can meet
 @pytest.mark.slow
 def test_a_busy_endpoint_is_told_in_a_line(place, steerd):
-    before = sorted(place.iterdir())
+    before = content(place)
     with socket.create_server(("127.0.0.1", 0)) as server:
         endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
         argv = ("--sim", "--auto-arm", "--listen", endpoint, "--record", place / "drive.mcap")
-        code, said = steerd.run("run", *argv)
-    assert code == 6, said
-    is_clear(said, [endpoint, "already in use", "another steerd"])
-    assert sorted(place.iterdir()) == before
-
-
-@pytest.mark.slow
-def test_nobody_answers(cli):
-    for command in ("status", "arm", "start", "stop", "disarm", "control"):
-        said = cli(command, "--connect", free_endpoint(), code=6).err
-        is_clear(said, ["no steerd answers", "steerd run"])
-        assert ("run --controller zenoh" in said) == (command == "control"), "what it needs"
+        run = steerd("run", *argv)
+        assert run.wait() == 6, run.text
+    is_clear(run.text, [endpoint, "already in use", "another steerd"])
+    assert content(place) == before
 
 
 @pytest.mark.slow

@@ -11,11 +11,6 @@ from tests.browser import CHROMIUM, NO_BROWSER, browsing
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not CHROMIUM, reason=NO_BROWSER)]
 
-WINDOWS = [
-    pytest.param(width, dark, id=f"{width} px, {'dark' if dark else 'light'}")
-    for width in (1280, 420)
-    for dark in (False, True)
-]
 PAGES = ("drive", "compare", "sessions", "identify", "gap", "sweep", "batch")
 SWEEP = """
 seeds = 4
@@ -68,10 +63,9 @@ def pages(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", PAGES)
-@pytest.mark.parametrize(("width", "dark"), WINDOWS)
+@pytest.mark.parametrize(("width", "dark"), [(1280, False), (420, True)])
 def test_a_page_is_whole_in_every_window(browser, pages, tmp_path, name, width, dark):
-    page = pages / f"{name}.html"
-    browser.open(page.as_uri(), width, dark=dark)
+    browser.open((pages / f"{name}.html").as_uri(), width, dark=dark)
     assert browser.ask("navigator.language") == ("en-US" if name == "drive" else "en-US@posix")
     browser.wait(DRAWN)
     assert (browser.console, browser.faults_of_layout()) == ([], [])
@@ -79,26 +73,15 @@ def test_a_page_is_whole_in_every_window(browser, pages, tmp_path, name, width, 
     assert (tmp_path / "page.png").stat().st_size > 30_000
 
 
-def test_the_drive_is_drawn_and_read_under_the_pointer(browser, pages):
-    browser.open((pages / "drive.html").as_uri(), language="de-DE")
-    browser.wait(DRAWN)
-    titles = browser.ask("[...document.querySelectorAll('h2')].map(e => e.firstChild.data.trim())")
-    assert titles[:4] == [
-        "lateral error e1", "heading error e2", "speed", "steering angle (left +)",
-    ]  # fmt: skip
-    assert browser.ask("document.documentElement.dataset.ready") == "11"
-    # The values under the pointer are longer than the dashes without one.
-    over = "document.querySelector('.panel:nth-child(4) .u-over')"
-    box = browser.ask(f"{over}.getBoundingClientRect().toJSON()")
-    where = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2}
-    browser.call("Input.dispatchMouseEvent", type="mouseMoved", **where)
-    browser.wait("document.getElementById('clock').textContent.startsWith('t = ')")
-    shown = browser.ask("[...document.querySelectorAll('.u-value')].map(e => e.textContent)")
-    assert sum(bool(re.fullmatch(r"-?\d[\d.]*", value)) for value in shown) > 8
-    assert (browser.faults_of_layout(), browser.console) == ([], [])
-
-
 SETTLE = "new Promise(done => setTimeout(done, 200))"
+OVER = "document.querySelector('.panel:nth-child(4) .u-over').getBoundingClientRect().toJSON()"
+
+
+def point(browser, kind, share, **more):
+    """The pointer over the fourth curve, at a share of its width."""
+    box = browser.ask(OVER)
+    where = {"x": box["x"] + share * box["width"], "y": box["y"] + 20}
+    browser.call("Input.dispatchMouseEvent", type=kind, **where, **more)
 
 
 def press(browser, key, modifiers=0):
@@ -107,7 +90,26 @@ def press(browser, key, modifiers=0):
     return browser.ask("+document.getElementById('time').value")
 
 
-def test_slider_and_arrow_keys_choose_the_instant_of_all_curves(browser, pages):
+def count_values(browser):
+    """How many curves show a number rather than a dash."""
+    shown = browser.ask("[...document.querySelectorAll('.u-value')].map(e => e.textContent)")
+    return sum(bool(re.fullmatch(r"-?\d[\d.]*", value)) for value in shown)
+
+
+def test_pointer_slider_and_arrow_keys_choose_the_instant_of_all_curves(browser, pages):
+    browser.open((pages / "drive.html").as_uri(), language="de-DE")
+    browser.wait(DRAWN)
+    titles = browser.ask("[...document.querySelectorAll('h2')].map(e => e.firstChild.data.trim())")
+    assert titles[:4] == [
+        "lateral error e1", "heading error e2", "speed", "steering angle (left +)",
+    ]  # fmt: skip
+    assert browser.ask("document.documentElement.dataset.ready") == "11"
+    assert count_values(browser) == 0
+    point(browser, "mouseMoved", 0.5)
+    browser.wait("document.getElementById('clock').textContent.startsWith('t = ')")
+    assert count_values(browser) > 8
+    # The values under the pointer are longer than the dashes without one.
+    assert (browser.faults_of_layout(), browser.console) == ([], [])
     browser.open((pages / "drive.html").as_uri())
     browser.wait(DRAWN)
     car = "document.getElementById('track').toDataURL()"
@@ -117,21 +119,16 @@ def test_slider_and_arrow_keys_choose_the_instant_of_all_curves(browser, pages):
     browser.wait("document.getElementById('clock').textContent === 't = 9.50 s · running'")
     before = browser.ask(car)
     assert len(set(browser.ask(lines))) == 1
-    shown = browser.ask("[...document.querySelectorAll('.u-value')].map(e => e.textContent)")
-    assert sum(bool(re.fullmatch(r"-?\d[\d.]*", value)) for value in shown) > 8
+    assert count_values(browser) > 8
     assert press(browser, "ArrowRight") == pytest.approx(9.55, abs=1e-6)
     assert press(browser, "ArrowLeft", modifiers=8) == pytest.approx(8.55, abs=1e-6)
     assert browser.ask(car) != before
     # What a zoomed window does not show is moved into it.
-    box = browser.ask("document.querySelector('.panel:nth-child(4) .u-over')"
-                      ".getBoundingClientRect().toJSON()")  # fmt: skip
     for kind, share in (("mousePressed", 0.1), ("mouseMoved", 0.2), ("mouseReleased", 0.2)):
-        where = {"x": box["x"] + share * box["width"], "y": box["y"] + 20}
-        browser.call("Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **where)
+        point(browser, kind, share, button="left", clickCount=1)
     at = [press(browser, "ArrowRight", modifiers=8) for _ in range(5)]
     assert at[4] - at[0] == pytest.approx(4.0, abs=0.05)
-    assert browser.faults_of_layout() == []
-    assert browser.console == []
+    assert (browser.faults_of_layout(), browser.console) == ([], [])
 
 
 def test_a_damaged_page_says_so(browser, pages, tmp_path):

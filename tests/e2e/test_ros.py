@@ -72,8 +72,7 @@ def test_a_ros_subscription_finds_and_decodes_the_car(steerd, tmp_path):
     header, values = drive.payload.to_bytes()[:4], drive.payload.to_bytes()[-20:]
     assert header == b"\0\1\0\0"
     assert struct.unpack("<5f", values)[1] == 0.0
-    run.send(signal.SIGINT)
-    assert run.wait() == 0, run.text
+    assert run.interrupt() == 0, run.text
 
 
 def make_lidar_car(path: Path) -> Path:
@@ -92,31 +91,27 @@ def make_lidar_car(path: Path) -> Path:
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_localisers_poses_drive_the_car_and_their_end_stops_it(end, undisturbed, capsys):
-    def scenario(steerd, folder):
-        port, url = steerd.sim(folder)
-        given = ("--mocap", "ros2:///pf/pose/odom", "--car", make_lidar_car(folder / "car.toml"))
-        run, record = start_run(steerd, folder, "--port", port, *given)
-        run.expect("first pose")
-        track = folder / "track"
-        peer = steerd("localise", url, steerd.endpoint, track, module=ROS_PEER)
-        run.expect("READY")
-        arm_and_start(steerd)
-        with closing(Watcher(steerd.endpoint)) as watcher:
-            driven = watcher.driving(run, 5.0)
-            assert driven.mode not in STOPS, run.text
-            watcher.stopped_by_silence(run, peer, end)
-        peer.send(signal.SIGKILL)
-        run.send(signal.SIGINT)
-        run.wait()
-        assert "W1 " in next(c.text for c in changes(record) if c.to_state in STOPS)
-        x, y = np.loadtxt(track).T
-        assert np.abs(np.hypot(x, y - RADIUS) - RADIUS).max() < 0.04
-        assert np.ptp(np.unwrap(np.arctan2(y - RADIUS, x))) * RADIUS > 3.0, "it drove"
-        poses = open_session(record).columns(m.MocapPose)
-        off = np.hypot(poses["x"], poses["y"] - RADIUS) - RADIUS
-        assert np.std(off) == pytest.approx(NOISE, rel=0.3), "as a LiDAR sees it"
-        assert np.mean(poses["reject"] == "") > 0.95
-        assert replays(record, capsys)
-
-    undisturbed(scenario)
+def test_a_localisers_poses_drive_the_car_and_their_end_stops_it(end, steerd, tmp_path, capsys):
+    port, url = steerd.sim(tmp_path)
+    given = ("--mocap", "ros2:///pf/pose/odom", "--car", make_lidar_car(tmp_path / "car.toml"))
+    run, record = start_run(steerd, tmp_path, "--port", port, *given)
+    run.expect("first pose")
+    track = tmp_path / "track"
+    peer = steerd("localise", url, steerd.endpoint, track, module=ROS_PEER)
+    run.expect("READY")
+    arm_and_start(steerd)
+    with closing(Watcher(steerd.endpoint)) as watcher:
+        driven = watcher.driving(run, 5.0)
+        assert driven.mode not in STOPS, run.text
+        watcher.stopped_by_silence(run, peer, end)
+    peer.send(signal.SIGKILL)
+    run.interrupt()
+    assert "W1 " in next(c.text for c in changes(record) if c.to_state in STOPS)
+    x, y = np.loadtxt(track).T
+    assert np.abs(np.hypot(x, y - RADIUS) - RADIUS).max() < 0.04
+    assert np.ptp(np.unwrap(np.arctan2(y - RADIUS, x))) * RADIUS > 3.0, "it drove"
+    poses = open_session(record).columns(m.MocapPose)
+    off = np.hypot(poses["x"], poses["y"] - RADIUS) - RADIUS
+    assert np.std(off) == pytest.approx(NOISE, rel=0.3), "as a LiDAR sees it"
+    assert np.mean(poses["reject"] == "") > 0.95
+    assert replays(record, capsys)

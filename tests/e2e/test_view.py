@@ -123,8 +123,7 @@ def test_from_foxglove_where_the_run_allows_it(steerd, tmp_path, capsys):
         url = run.expect(r"view: (\S+)")[1]
         assert asyncio.run(set_in_foxglove(url, "live.speed", 0.5))
         assert watcher.driving(run, 2.0).speed == pytest.approx(0.5, abs=0.05)
-    run.send(signal.SIGINT)
-    assert run.wait() == 0, run.text
+    assert run.interrupt() == 0, run.text
     assert replays(record, capsys)
     said = [r.decode() for r in open_session(record).messages("/steerd/car1/parameters")]
     answers = {(p.lease_id, p.seq): p for p in said if p.lease_id}.values()

@@ -1,4 +1,4 @@
-"""The wheel in an environment of its own: one import name, all its files, every kind of command.
+"""The wheel in an environment of its own: one import name, all its files, a user's effect added.
 
 It is built from a source distribution, that from a copy of the checkout, and installed beside
 python-daemon, whose `daemon` package once wrote over ours. Dependencies are those of the tests.
@@ -7,6 +7,8 @@ python-daemon, whose `daemon` package once wrote over ours. Dependencies are tho
 import importlib.metadata
 import json
 import os
+import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -17,12 +19,16 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
+from steerd.car_model.native import library
 from steerd.version import VERSION
 from tests.contract.size import ROOMS, ROOT
 
 pytestmark = pytest.mark.slow
 
-LATE = "--path figure8 --speed 1.8 --duration 20 --effect steer_delay=0.06 --record late.mcap"
+LANE = "run --sim --fast --path figure8 --speed 1.8"
+PULL = 0.012  # wheel angle per speed that the simulated car has [rad s/m]
+PAGE = (ROOT / "docs" / "how-to" / "your-own-effect.md").read_text()
+NEW_EFFECT = PAGE.partition("```python\n")[2].partition("```")[0]
 
 
 def build(kind: str, source: Path, folder: Path) -> Path:
@@ -39,6 +45,13 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     unwanted = shutil.ignore_patterns(".[!g]*", ".git", "__pycache__", "*.mcap", "docs", "tests")
     shutil.copytree(ROOT, folder / "checkout", symlinks=True, ignore=unwanted)
+    # For this processor's level alone: the library of the checkout has all of them.
+    loader = folder / "checkout" / "car_model" / "native" / "library.py"
+    level = library._level()
+    own = {level: library.LEVELS.get(platform.machine(), {}).get(level, "")}
+    text, count = re.subn(r'("x86_64": )\{.*\}', rf"\1{own}", loader.read_text())
+    assert count == 1
+    loader.write_text(text)
     archive = build("sdist", folder / "checkout", folder / "sdist")
     with tarfile.open(archive) as packed:
         packed.extractall(folder / "unpacked", filter="data")
@@ -106,14 +119,32 @@ def test_python_daemon_and_steerd_leave_each_other_alone(home):
     assert Path(ours).is_relative_to(home)
 
 
-def test_the_wheel_drives_plots_identifies_and_diagnoses(home):
+def test_the_wheel_drives_plots_and_identifies(home):
     steerd = partial(run, home, "steerd")
-    steerd("run", "--sim", "--fast", *LATE.split())
-    steerd("plot", "late.mcap")
-    assert "<script" in (home / "late.html").read_text()
-    steerd("identify", "late.mcap", "-o", "car.toml", "--report", "fit.html", codes=(0, 5))
+    steerd(*LANE.split(), "--duration", "20", "--record", "lane.mcap")
+    steerd("plot", "lane.mcap")
+    assert "<script" in (home / "lane.html").read_text()
+    written = ("-o", "car.toml", "--report", "fit.html")
+    steerd("identify", "lane.mcap", "--free", "steer_gain", *written, codes=(0, 5))
     assert "noise" in json.loads((home / "car.posterior.json").read_text())
     assert (home / "fit.html").stat().st_size > 10_000
-    screen = steerd("diagnose", "late.mcap", "--only", "steer_delay", "--report", "gap.html")
-    assert "steer_delay" in screen
+
+
+def test_an_effect_that_a_user_adds_is_listed_simulated_named_and_kept_in_a_car_file(home):
+    """Last, for the library is compiled anew: the tests before have used that of the wheel."""
+    steerd = partial(run, home, "steerd")
+    (home / "speed_pull.py").write_text(NEW_EFFECT)
+    assert "added: speed_pull" in steerd("effects", "--add", "speed_pull.py")
+    assert "pull" in steerd("effects", "speed_pull")
+    listed = json.loads(steerd("effects", "--json"))["effects"]
+    assert "speed_pull" in {effect["name"] for effect in listed}
+    pull = f"speed_pull={PULL}"
+    steerd(*LANE.split(), "--duration", "24", "--effect", pull, "--record", "pull.mcap")
+    written = ("--json", "gap.json", "--report", "gap.html", "-o", "pull.toml")
+    steerd("diagnose", "pull.mcap", "--no-pairs", *written)
+    (cause,) = json.loads((home / "gap.json").read_text())["causes"]
+    found = cause["parameters"]["pull"]
+    assert cause["effect"] == "speed_pull"
+    assert abs(found["value"] - PULL) < max(0.2 * PULL, 3.0 * found["sd"])
+    assert "[effects.speed_pull]" in (home / "pull.toml").read_text()
     assert (home / "gap.html").stat().st_size > 10_000
