@@ -170,23 +170,21 @@ LEARNT = {"steer_bias": (0.004, 4e-4), "speed_gain": (0.979, 0.001)}
 
 def test_what_was_learnt_widens_each_day_until_the_car_file_says_as_much(learner):
     augmented = learner.augmented
+
+    def remembered(values, days):
+        return tracking.remember(augmented, tracking.Memory(values, days))
+
     space = make_space(augmented, ("steer_bias",))
     place, row = (n.index("steer_bias") for n in (space.chart.free, space.chart.names))
     before = abs(space.chart.slopes(space.centre)[row, place]) * space.spread[place]
     for days in (0.0, 1.0, 4.0, 20.0):
-        ((value, sd),) = tracking.remember(
-            augmented, tracking.Memory({"steer_bias": (0.004, 4e-4)}, days)
-        ).values()
+        ((value, sd),) = remembered({"steer_bias": (0.004, 4e-4)}, days).values()
         assert value == 0.004
         assert sd**2 == pytest.approx(4e-4**2 + 0.01 * days * before**2)
-    assert tracking.remember(augmented, tracking.Memory(LEARNT, 26.0)) == {}
-    assert tracking.remember(augmented, tracking.Memory(LEARNT, -0.01)) == tracking.remember(
-        augmented, tracking.Memory(LEARNT, 0.0)
-    )
+    assert remembered(LEARNT, 26.0) == {}
+    assert remembered(LEARNT, -0.01) == remembered(LEARNT, 0.0)
     lengths = {"lf": (0.17, 1e-4), "lr": (0.16, 1e-4)}  # and what no car has
-    assert (
-        tracking.remember(augmented, tracking.Memory({**lengths, "no.such": (1.0, 0.1)}, 0.0)) == {}
-    )
+    assert remembered({**lengths, "no.such": (1.0, 0.1)}, 0.0) == {}
 
 
 def test_memory_and_drive_are_joined_unless_the_drive_shows_another_car(reference, track):

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from steerd.car_model.chassis import derivative
+from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
@@ -123,6 +124,17 @@ def test_known_wheelbase_is_kept(make_drive):
     assert found.model.car.lf + found.model.car.lr == pytest.approx(0.3302, abs=1e-12)
     assert found.estimates["lf"].value == pytest.approx(DEFAULT_CAR.lf, rel=0.02)
     assert found.estimates["lf"].sd == pytest.approx(found.estimates["lr"].sd)
+
+
+def test_effects_are_fitted_with_the_car(make_drive):
+    ((effect, values),) = parse_effects("steer_asymmetry=0.08")
+    run = make_drive(Model(DEFAULT_CAR, (effect,), (values,)), 12.0, 6)
+    name = f"steer_asymmetry.{effect.parameters[0].name}"
+    found = fit([run], Model(DEFAULT_CAR, (effect,), ((0.0,),)), (*TYRES, name))
+    estimate = found.estimates[name]
+    assert abs(estimate.value - 0.08) < 4.0 * estimate.sd
+    assert estimate.identifiable
+    assert (found.model.effects, found.model.values) == ((effect,), ((estimate.value,),))
 
 
 def test_outliers_do_not_pull(make_drive, truth):
