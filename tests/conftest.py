@@ -3,7 +3,6 @@
 # Why: docs/decisions/rooms-and-code.md#d37
 
 import resource
-from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -48,11 +47,9 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """List what `--reruns` ran again, each with its first failure: a flaky test is no secret."""
-    first: dict[str, pytest.TestReport] = {}
-    counts: Counter[str] = Counter()
+    reports: dict[str, list[pytest.TestReport]] = {}
     for report in terminalreporter.getreports("rerun"):
-        first.setdefault(report.nodeid, report)
-        counts[report.nodeid] += 1
+        reports.setdefault(report.nodeid, []).append(report)
     failed, ran = count_first_failures(terminalreporter.config)
     if terminalreporter.config.getoption("reruns", 0):
         allowed = terminalreporter.config.getoption("--first-pass-failures")
@@ -60,12 +57,11 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.line(
             f"{failed} of {ran} tests failed at first; {max(1, int(allowed * ran))} may"
         )
-    if not first:
-        return
-    terminalreporter.section("failed and run again: the first failure of each", yellow=True)
-    for name, report in first.items():
-        terminalreporter.line(f"{name} (failed {counts[name]} x before its last run)", bold=True)
-        terminalreporter.line(report.longreprtext)
+    if reports:
+        terminalreporter.section("failed and run again: the first failure of each", yellow=True)
+    for name, each in reports.items():
+        terminalreporter.line(f"{name} (failed {len(each)} x before its last run)", bold=True)
+        terminalreporter.line(each[0].longreprtext)
 
 
 @pytest.fixture(autouse=True, scope="session")

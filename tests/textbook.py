@@ -18,17 +18,13 @@ def axle_stiffness(car: Car[float]) -> tuple[float, float]:
     return scale * car.lr * car.c_sf, scale * car.lf * car.c_sr
 
 
-def understeer_gradient(car: Car[float]) -> float:
-    """Extra road-wheel angle per lateral acceleration [rad s^2/m]; negative oversteers.
-
-    `(m / L) (lr / cf - lf / cr)` with per-axle stiffness; mass and load cancel.
-    """
-    return (1.0 / car.c_sf - 1.0 / car.c_sr) / (car.mu * GRAVITY)
-
-
 def feedforward_steer(car: Car[float], speed: float, curvature: float) -> float:
-    """Road-wheel angle [rad] that holds a path curvature [1/m]: `L k + K_us v^2 k`."""
-    return (wheelbase(car) + understeer_gradient(car) * speed * speed) * curvature
+    """Road-wheel angle [rad] that holds a path curvature [1/m]: `L k + K_us v^2 k`.
+
+    `K_us = (m / L) (lr / cf - lf / cr)` with per-axle stiffness; mass and load cancel.
+    """
+    understeer = (1.0 / car.c_sf - 1.0 / car.c_sr) / (car.mu * GRAVITY)
+    return (wheelbase(car) + understeer * speed * speed) * curvature
 
 
 def steady_slip(car: Car[float], speed: float, curvature: float) -> float:

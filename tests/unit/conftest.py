@@ -65,10 +65,8 @@ def _drive(text: str, seconds: float, rng: np.random.Generator, name: str, wheel
     pose += rng.standard_normal(pose.shape) * POSE_SD
     wheel = path[:, 3] + wheel_sd * rng.standard_normal(ticks)
     t = t[: ticks - LEAD]
-    return make_run(
-        name, Signal(t, steer[LEAD:]), Signal(t, speed[LEAD:]), Signal(t, pose[LEAD:]),
-        wheel=Signal(t, wheel[LEAD:]),
-    )  # fmt: skip
+    seen = [Signal(t, each[LEAD:]) for each in (steer, speed, pose, wheel)]
+    return make_run(name, *seen[:3], wheel=seen[3])
 
 
 drive = pytest.fixture(lambda: simulate_drives, scope="session")

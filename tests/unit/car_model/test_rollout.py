@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 
-from steerd.car_model.effects import EFFECTS, parse_effects
+from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model, believed_car
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, wheelbase
@@ -14,8 +14,7 @@ from steerd.car_model.state import ORIGIN, Command
 
 
 def run(car, first, command, seconds, h=0.005, integrate=rk4):
-    model = Model(car)
-    commands = [command] * round(seconds / h)
+    model, commands = Model(car), [command] * round(seconds / h)
     moments = simulate(FLOAT, model, start(model, first, 0.0), commands, h, integrate)
     return [m.state for m in moments]
 
@@ -28,7 +27,7 @@ def test_rest_stays_at_rest_and_reverse_is_kinematic_and_stable() -> None:
     assert abs(last.slip_angle) < 0.2
 
 
-def test_speed_and_steering_follow_their_lags_and_then_their_limits() -> None:
+def test_speed_and_steering_follow_their_lags_and_then_their_limits():
     car = DEFAULT_CAR._replace(accel_max=20.0)
     reached = run(car, ORIGIN, Command(0.0, 1.0), car.speed_lag)[-1].speed
     assert reached == pytest.approx(1.0 - math.exp(-1.0), rel=1e-12)
@@ -42,22 +41,17 @@ def test_speed_and_steering_follow_their_lags_and_then_their_limits() -> None:
 
 def test_halving_the_step_divides_the_error_by_sixteen() -> None:
     # Wheels that slew all the time: within a step they are taken to move evenly, and so they do.
-    car = DEFAULT_CAR._replace(steer_lag=0.0, steer_rate=0.1)
-    first = ORIGIN._replace(speed=2.0)
-    command = Command(0.3, 2.0)
-    truth = run(car, first, command, 0.32, 0.00025)[-1]
-    ends = [run(car, first, command, 0.32, h)[-1] for h in (0.02, 0.01, 0.005)]
-    errors = [math.dist(end[:2], truth[:2]) for end in ends]
-    for coarse, fine in pairwise(errors):
+    drive = (DEFAULT_CAR._replace(steer_lag=0.0, steer_rate=0.1), ORIGIN._replace(speed=2.0),
+             Command(0.3, 2.0), 0.32)  # fmt: skip
+    *ends, truth = (run(*drive, h)[-1] for h in (0.02, 0.01, 0.005, 0.00025))
+    for coarse, fine in pairwise(math.dist(end[:2], truth[:2]) for end in ends):
         assert 10.0 < coarse / fine < 40.0
 
 
 def test_the_papers_euler_agrees_to_its_own_error() -> None:
     """`docs/reference/identification.md#i2.1`: 2 mm after 8 s on a circle at 1 m/s."""
-    first = ORIGIN._replace(speed=1.0)
-    command = Command(0.34, 1.0)
-    exact = run(PAPER_CAR, first, command, 8.0, 0.002)
-    papers = run(PAPER_CAR, first, command, 8.0, 0.002, euler)
+    drive = PAPER_CAR, ORIGIN._replace(speed=1.0), Command(0.34, 1.0), 8.0, 0.002
+    exact, papers = (run(*drive, integrate) for integrate in (rk4, euler))
     worst = max(math.dist(a[:2], b[:2]) for a, b in zip(exact, papers, strict=True))
     assert 1e-4 < worst < 5e-3
 
@@ -80,12 +74,6 @@ def test_a_delayed_command_moves_the_wheels_late() -> None:
 def believed(text):
     effects, values = zip(*parse_effects(text), strict=True)
     return believed_car(Model(DEFAULT_CAR, effects, values))
-
-
-@pytest.mark.parametrize("name", EFFECTS)
-def test_at_its_null_no_effect_changes_anything(name):
-    effect = EFFECTS[name]
-    assert believed_car(Model(DEFAULT_CAR, (effect,), (effect.nulls,))) == DEFAULT_CAR
 
 
 def test_dead_times_add_up_and_other_parameters_become_what_effects_of_the_whole_car_make_them():

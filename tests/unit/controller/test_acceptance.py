@@ -28,9 +28,8 @@ def test_a_design_for_a_car_nearby_is_taken(held, changed):
     taken = accept(held, numbers(held), design_for(held, **changed))
     assert isinstance(taken, LaneController), taken
     assert taken.table == design_for(held, **changed).table
-    assert (taken.keeper.wheel_min, taken.keeper.wheel_max) == (
-        held.file.keeper.wheel_min, held.file.keeper.wheel_max,
-    )  # fmt: skip
+    mine, files = taken.keeper, held.file.keeper
+    assert (mine.wheel_min, mine.wheel_max) == (files.wheel_min, files.wheel_max)
     assert taken.profile == held.file.profile, "no speed is the learner's"
 
 

@@ -10,12 +10,8 @@ from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
 from steerd.car_model.path.path_spec import parse_path
 from steerd.controller import design
 from steerd.controller.build import make_controller
-from steerd.controller.config import (
-    PAPER_POLES,
-    ControllerConfig,
-    LqrWeights,
-    load_controller_config,
-)
+from steerd.controller.config import PAPER_POLES, LqrWeights, load_controller_config
+from steerd.controller.config import ControllerConfig as Config
 from steerd.controller.gain_table import N_LANE, GainTable, look_up
 from steerd.controller.gains import design_table, lqr_gains, pole_placement_gains
 from steerd.controller.loop_model import Timing, pack_gains, sampled_loop, turn_response
@@ -50,23 +46,20 @@ def test_lqr_is_the_cheapest_of_its_neighbours_and_without_lag_feeds_back_lane_e
     best = lqr_gains(DEFAULT_CAR, 1.0, TIMING, weights)
     assert best.shape == (1, 5 + 3)  # 25 ms at 100 Hz: three references under way
     lowest = cost_of(best, weights)
-    rng = np.random.default_rng(1)
-    for _ in range(10):
-        nearby = best * (1.0 + 0.05 * rng.standard_normal(best.shape))
-        assert cost_of(nearby, weights) > lowest
-    config = ControllerConfig()
-    table = design_table(DEFAULT_CAR, config, Timing(100.0, 0.0, 0.0), 1.0)
+    for off in np.random.default_rng(1).standard_normal((10, *best.shape)):
+        assert cost_of(best * (1.0 + 0.05 * off), weights) > lowest
+    table = design_table(DEFAULT_CAR, Config(), Timing(100.0, 0.0, 0.0), 1.0)
     assert table.pasts == 0
     assert all(row[4] == 0.0 for row in table.rows)
 
 
 def test_the_table_spans_the_speeds_linearly_between_and_holds_outside():
-    table = design_table(DEFAULT_CAR, ControllerConfig(), TIMING, 1.6)
+    table = design_table(DEFAULT_CAR, Config(), TIMING, 1.6)
     assert (table.speeds[0], table.speeds[-1]) == (0.1, pytest.approx(1.6))
     assert table.spacing <= 0.25
     assert table.pasts == 3
-    assert design_table(DEFAULT_CAR, ControllerConfig(), TIMING, 0.05).speeds == (0.1,)
-    by_poles = ControllerConfig(design="pole_placement")
+    assert design_table(DEFAULT_CAR, Config(), TIMING, 0.05).speeds == (0.1,)
+    by_poles = Config(design="pole_placement")
     assert design_table(DEFAULT_CAR, by_poles, TIMING, 1.0).speeds[0] == 0.5
     late = Timing(100.0, 0.04, 0.08)
     closed = design.closed_loop(DEFAULT_CAR, table.rows[-1], table.pasts, 1.0, late)
@@ -154,7 +147,7 @@ def test_a_wrong_setting_is_named_with_its_problem(table, said):
 # The check of the closed loop: the measured numbers of the paper's poles, and refusals.
 BARE: Car[float] = PAPER_CAR._replace(steer_lag=0.0, steer_delay=0.0)
 """The paper's car as its own designs see it: no servo lag, no dead time."""
-PAPER = ControllerConfig(design="pole_placement")
+PAPER = Config(design="pole_placement")
 CIRCLE = parse_path("circle:radius=2")
 
 
@@ -169,7 +162,7 @@ def test_the_papers_poles_at_real_rates(rate_hz, ticks, radius):
 
 
 def by_poles(*poles, **more):
-    return ControllerConfig(design="pole_placement", poles=poles, **more)
+    return Config(design="pole_placement", poles=poles, **more)
 
 
 @pytest.mark.parametrize(("car", "path", "config", "rate_hz", "said"), [
@@ -181,9 +174,9 @@ def by_poles(*poles, **more):
     (DEFAULT_CAR, CIRCLE, by_poles(-2 + 2j, -2 - 2j, -60, -40), 100.0,
      ('poles = ["-2-2j", "-2+2j", "-52',)),
     (PAPER_CAR, CIRCLE, by_poles(-2, -2, -2, -2), 100.0, ("pole_placement at ",)),
-    (DEFAULT_CAR, parse_path("circle:radius=-0.8"), ControllerConfig(), 100.0,
+    (DEFAULT_CAR, parse_path("circle:radius=-0.8"), Config(), 100.0,
      ("radius 0.80 m", "wheel angle of -0.4")),
-    *((DEFAULT_CAR._replace(steer_delay=delay), CIRCLE, ControllerConfig(), rate_hz, ("rate",))
+    *((DEFAULT_CAR._replace(steer_delay=delay), CIRCLE, Config(), rate_hz, ("rate",))
       for rate_hz, delay in ((0.0, 0.0), (100.0, -0.1), (100.0, 3.0))),
 ], ids=["a tick of delay", "half the rate", "ill damped", "poles between", "poles that cannot be",
         "too tight a path", "no rate", "negative delay", "seconds of delay"])  # fmt: skip
@@ -196,7 +189,7 @@ def test_a_refusal_says_why_and_what_would_pass(car, path, config, rate_hz, said
 def test_what_a_refusal_says_passes_does_pass():
     made = make_controller(BARE, CIRCLE, PAPER, 100.0)
     assert "pole_placement, 100 Hz" in made.report.describe()
-    make_controller(BARE, CIRCLE, ControllerConfig(design="pole_placement", speed=0.68), 50.0)
+    make_controller(BARE, CIRCLE, Config(design="pole_placement", speed=0.68), 50.0)
     gentle = by_poles(-2 - 2j, -2 + 2j, -52.5, -113.1, grid_speed_min=1.0)
     assert make_controller(DEFAULT_CAR, CIRCLE, gentle, 100.0).report.delay_margin_s > 0.0
 
@@ -204,21 +197,20 @@ def test_what_a_refusal_says_passes_does_pass():
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0, 500.0])
 @pytest.mark.parametrize("delay_s", [0.0, 0.013, 0.04, 0.1])
 def test_lqr_passes_at_every_rate_and_delay(rate_hz, delay_s):
-    table = design_table(DEFAULT_CAR, ControllerConfig(), Timing(rate_hz, delay_s, 0.05), 1.5)
-    for at in design.assess(DEFAULT_CAR, table, Timing(rate_hz, delay_s, 0.05)):
+    timing = Timing(rate_hz, delay_s, 0.05)
+    table = design_table(DEFAULT_CAR, Config(), timing, 1.5)
+    for at in design.assess(DEFAULT_CAR, table, timing):
         assert at.radius < 1.0
         assert at.damping > 0.5
 
 
 def test_the_delay_margin_is_where_the_loop_turns_unstable():
     timing = Timing(100.0, 0.01, 0.05)
-    table = design_table(DEFAULT_CAR, ControllerConfig(speed=4.0), timing, 4.0)
+    table = design_table(DEFAULT_CAR, Config(speed=4.0), timing, 4.0)
     margin = design.delay_margin(DEFAULT_CAR, table, timing)
     assert 0.03 < margin < 0.2
-    over = timing._replace(delay_s=timing.delay_s + margin + 0.005)
-    inside = timing._replace(delay_s=timing.delay_s + margin)
-
-    def radius(late):
-        return max(design.stability_at(DEFAULT_CAR, table, v, late).radius for v in table.speeds)
-
-    assert radius(inside) < 1.0 <= radius(over)
+    inside, over = (
+        max(design.stability_at(DEFAULT_CAR, table, v, late).radius for v in table.speeds)
+        for late in (timing._replace(delay_s=0.01 + margin + more) for more in (0.0, 0.005))
+    )
+    assert inside < 1.0 <= over

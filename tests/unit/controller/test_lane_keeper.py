@@ -43,21 +43,16 @@ def wheel_reference(gains: tuple[float, ...], errors: LaneErrors, past: tuple[fl
     return step(KEEPER, gains, errors, at, ORIGIN._replace(speed=1.0, steer=0.1), past)[0]
 
 
-def test_each_gain_steers_against_its_error_up_to_the_end_stops():
+def test_each_gain_steers_against_its_error_up_to_the_end_stops_and_a_past_has_to_fit():
     errors = LaneErrors(0.1, 0.2, 0.03, 0.4)
-    assert wheel_reference(row(e1=2.0), errors) == pytest.approx(-0.2)
-    assert wheel_reference(row(e1_rate=0.5), errors) == pytest.approx(-0.1)
-    assert wheel_reference(row(e2=2.0), errors) == pytest.approx(-0.06)
-    assert wheel_reference(row(e2_rate=0.5), errors) == pytest.approx(-0.2)
-    assert wheel_reference(row(steer=0.5), errors) == pytest.approx(-0.05)
+    for name, gain, steer in (("e1", 2.0, -0.2), ("e1_rate", 0.5, -0.1), ("e2", 2.0, -0.06),
+                              ("e2_rate", 0.5, -0.2), ("steer", 0.5, -0.05)):  # fmt: skip
+        assert wheel_reference(row(**{name: gain}), errors) == pytest.approx(steer)
     assert wheel_reference(row(past=(0.5, 0.25)), errors, (0.1, -0.4)) == pytest.approx(0.05)
     assert wheel_reference(row(e1=100.0), LaneErrors(1.0, 0.0, 0.0, 0.0)) == KEEPER.wheel_min
     assert wheel_reference(row(e1=100.0), LaneErrors(-1.0, 0.0, 0.0, 0.0)) == KEEPER.wheel_max
-
-
-def test_a_past_that_does_not_fit_the_table_is_an_error():
     with pytest.raises(ValueError, match="zip"):
-        wheel_reference(row(past=(0.5,)), LaneErrors(0.0, 0.0, 0.0, 0.0), (0.1, 0.2))
+        wheel_reference(row(past=(0.5,)), errors, (0.1, 0.2))
 
 
 def test_the_curvature_is_read_where_the_order_will_act():
@@ -107,18 +102,11 @@ def test_a_files_speeds_cap_it_unless_configured_not_to():
 
 
 def test_the_reference_climbs_at_the_start_ramp_and_stops_at_the_stop_ramp():
-    config = ControllerConfig(start_ramp=1.5, stop_ramp=1.0)
-    speed, climbed = 0.0, []
-    for _ in range(100):
-        speed = step_speed(speed, 1.0, 0.01, config, stop=False)
-        climbed.append(speed)
-    assert (climbed[0], climbed[-1], climbed.index(1.0)) == (pytest.approx(0.015), 1.0, 66)
-    for _ in range(50):
-        speed = step_speed(speed, 1.0, 0.01, config, stop=True)
-    assert speed == pytest.approx(0.5)
-    for _ in range(60):
-        speed = step_speed(speed, 1.0, 0.01, config, stop=True)
-    assert speed == 0.0
+    config, speeds = ControllerConfig(start_ramp=1.5, stop_ramp=1.0), [0.0]
+    for k in range(210):
+        speeds.append(step_speed(speeds[-1], 1.0, 0.01, config, stop=k >= 100))
+    assert (speeds[1], speeds.index(1.0), speeds[100]) == (pytest.approx(0.015), 67, 1.0)
+    assert (speeds[150], speeds[-1]) == (pytest.approx(0.5), 0.0)
     assert step_speed(2.0, 1.2, 0.01, config, stop=False) == 1.2, "it follows the profile down"
 
 
@@ -176,22 +164,17 @@ def test_a_command_is_remembered_as_it_left():
     held = command._replace(steer=0.5 * command.steer)
     _, _, informed = control(controller, after, SEEN, 20_000_000, issued=held)
     assert informed.past[1] == pytest.approx(held.steer - after.feedforward)
-
-
-def test_no_delay_means_no_past():
     controller = make(1.0, car=DEFAULT_CAR._replace(steer_delay=0.0))
-    state = start_controller(controller, SEEN, 0)
-    command, _, after = control(controller, state, SEEN, 10_000_000)
-    assert after.past == ()
-    assert control(controller, after, SEEN, 20_000_000, issued=command)[2].past == ()
+    command, _, after = control(controller, start_controller(controller, SEEN, 0), SEEN, 10_000_000)
+    again = control(controller, after, SEEN, 20_000_000, issued=command)[2]
+    assert after.past == again.past == (), "no delay means no past"
 
 
 def test_a_clock_that_stands_or_leaps_is_no_leap_in_speed():
     controller = make(1.0)
-    state, estimate = start_controller(controller, ORIGIN, 0), ORIGIN
-    assert control(controller, state, estimate, 0)[2].speed == 0.0
-    assert control(controller, state, estimate, -5)[2].speed == 0.0
-    assert control(controller, state, estimate, 10**12)[2].speed == pytest.approx(0.15)
+    state = start_controller(controller, ORIGIN, 0)
+    for t_ns, speed in ((0, 0.0), (-5, 0.0), (10**12, pytest.approx(0.15))):
+        assert control(controller, state, ORIGIN, t_ns)[2].speed == speed
 
 
 @pytest.mark.parametrize("field", State._fields)
@@ -207,18 +190,17 @@ def test_an_estimate_that_is_not_finite_is_refused(field, value):
 EIGHT = parse_path("figure8")
 TURN, MIRRORED = parse_path("circle:radius=1.4"), parse_path("circle:radius=-1.4")
 
-SHARES = st.floats(0.05, 0.95)
-OFFSETS = st.floats(-0.3, 0.3)
-HEADINGS = st.floats(-0.8, 0.8)
-SPEEDS = st.floats(0.0, 4.0)
-YAW_RATES = st.floats(-3.0, 3.0)
-SLIPS = st.floats(-0.2, 0.2)
+# Share of the way round, offset, heading error; speed, yaw rate, slip angle.
+PLACES = st.tuples(st.floats(0.05, 0.95), st.floats(-0.3, 0.3), st.floats(-0.8, 0.8))
+MOTIONS = st.tuples(st.floats(0.0, 4.0), st.floats(-3.0, 3.0), st.floats(-0.2, 0.2))
 
 
-def beside(path: Path, share: float, e1: float, e2: float) -> tuple[int, float, float, float]:
+def beside(path: Path, place, motion) -> tuple[int, State[float]]:
+    share, e1, e2 = place
     i = int(share * len(path.x))
     yaw = path.yaw[i]
-    return i, path.x[i] - e1 * math.sin(yaw), path.y[i] + e1 * math.cos(yaw), yaw + e2
+    x, y = path.x[i] - e1 * math.sin(yaw), path.y[i] + e1 * math.cos(yaw)
+    return i, State(x, y, yaw + e2, *motion, 0.0)
 
 
 def errors_at(path: Path, state: State[float], hint: int) -> LaneErrors:
@@ -226,16 +208,14 @@ def errors_at(path: Path, state: State[float], hint: int) -> LaneErrors:
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)
-@given(SHARES, OFFSETS, HEADINGS, SPEEDS, YAW_RATES, SLIPS)
-def test_rates_are_the_derivatives_of_the_errors(share, e1, e2, speed, yaw_rate, slip):
-    hint, x, y, yaw = beside(EIGHT, share, e1, e2)
-    state = State(x, y, yaw, speed, yaw_rate, slip, 0.0)
-    rates = derivative(SINGLE_TRACK, FLOAT, DEFAULT_CAR, state, 0.0, 0.0)
-    h = 1e-3
+@given(PLACES, MOTIONS)
+def test_rates_are_the_derivatives_of_the_errors(place, motion):
+    hint, state = beside(EIGHT, place, motion)
+    rates, h = derivative(SINGLE_TRACK, FLOAT, DEFAULT_CAR, state, 0.0, 0.0), 1e-3
 
     def moved(by: float) -> LaneErrors:
-        there = state._replace(x=x + by * rates.x, y=y + by * rates.y, yaw=yaw + by * rates.yaw)
-        return errors_at(EIGHT, there, hint)
+        there = (at + by * rate for at, rate in zip(state[:3], rates[:3], strict=True))
+        return errors_at(EIGHT, State(*there, *state[3:]), hint)
 
     before, now, after = moved(-h), errors_at(EIGHT, state, hint), moved(h)
     assert now.e1_rate == pytest.approx((after.e1 - before.e1) / (2.0 * h), abs=2e-3)
@@ -243,11 +223,11 @@ def test_rates_are_the_derivatives_of_the_errors(share, e1, e2, speed, yaw_rate,
 
 
 @settings(max_examples=50, deadline=None, derandomize=True)
-@given(SHARES, OFFSETS, HEADINGS, SPEEDS, YAW_RATES, SLIPS)
-def test_left_is_the_mirror_image_of_right(share, e1, e2, speed, yaw_rate, slip):
-    hint, x, y, yaw = beside(TURN, share, e1, e2)
-    left = errors_at(TURN, State(x, y, yaw, speed, yaw_rate, slip, 0.0), hint)
-    right = errors_at(MIRRORED, State(x, -y, -yaw, speed, -yaw_rate, -slip, 0.0), hint)
+@given(PLACES, MOTIONS)
+def test_left_is_the_mirror_image_of_right(place, motion):
+    hint, at = beside(TURN, place, motion)
+    mirrored = State(at.x, -at.y, -at.yaw, at.speed, -at.yaw_rate, -at.slip_angle, 0.0)
+    left, right = errors_at(TURN, at, hint), errors_at(MIRRORED, mirrored, hint)
     assert right == pytest.approx(tuple(-value for value in left), abs=1e-9)
 
 
@@ -304,10 +284,8 @@ def test_a_lane_that_the_car_cannot_turn_is_not_granted():
 def test_a_shifted_circle_is_the_one_beside_it_where_lateral_acceleration_stays():
     at = live.shift_lane(project(CIRCLE, 1.9, 0.0, 0), 0.1)
     beside = parse_path("circle:radius=1.9")
-    own = project(beside, 1.9 * beside.x[0] / 1.9, 0.0, 0)
-    assert at.curvature == pytest.approx(own.curvature, rel=1e-6)
-    offsets = project(CIRCLE, 1.9, 0.0, 0).e1
-    assert at.e1 == pytest.approx(offsets - 0.1)
+    assert at.curvature == pytest.approx(beside.curvature[0], rel=1e-6)
+    assert at.e1 == pytest.approx(project(CIRCLE, 1.9, 0.0, 0).e1 - 0.1)
     config = ControllerConfig(speed=3.0, lateral_accel_max=2.0)
     inner = LiveValues(inf, 0.1, 1.0)
     assert limit_target(2.0, CIRCLE, 0.0, inner, config) == pytest.approx((2.0 * 1.9) ** 0.5, 1e-6)

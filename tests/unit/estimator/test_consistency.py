@@ -7,8 +7,8 @@ over independent runs, normalised errors squared (NEES, 7 states) and normalised
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -33,8 +33,7 @@ SETTLED_NS = 10**12 + 500_000_000
 WIDTHS = {Kind.POSE: 3, Kind.WHEEL_SPEED: 1, Kind.GYRO: 1}
 
 
-@dataclass(frozen=True)
-class Record:
+class Record(NamedTuple):
     scaled: np.ndarray  # (instants, 7) errors over their standard deviations
     nees: np.ndarray  # (instants,)
     nis: dict[Kind, list[float]]

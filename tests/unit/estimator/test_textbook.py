@@ -14,7 +14,6 @@ from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
 from steerd.car_model.planar import CHASSIS
 from steerd.car_model.prediction import ActuatorMotion, slip_density
-from steerd.car_model.rollout import simulate as simulate_car
 from steerd.car_model.rollout import start
 from steerd.car_model.rollout import step as plant_step
 from steerd.car_model.single_track import SINGLE_TRACK
@@ -64,10 +63,8 @@ def test_same_estimate_as_the_textbook(simulate, run_filter, seed):
     runs = list(run_filter(flt, drive))
     begin = next(state for _, state in runs if state.nodes).nodes[0]
     events = sorted(m for _, m in drive.arrivals if m > begin.measurement)
-    end_ns = runs[-1][0]
-    x, P = begin.belief.mean, begin.belief.covariance
-    delay = round(CAR.steer_delay * 1e9)
-    commands = dict(drive.commands)
+    x, P, end_ns = begin.belief.mean, begin.belief.covariance, runs[-1][0]
+    delay, commands = round(CAR.steer_delay * 1e9), dict(drive.commands)
     first = drive.commands[0][0]
 
     def sent(t_ns: int) -> Command[float]:
@@ -94,8 +91,8 @@ STATES = [
 ]  # fmt: skip
 
 
-def make_reference(chassis: Chassis, car=CAR) -> Reference:
-    return Reference(car, chassis, FilterConfig(), {})
+def make_reference(chassis: Chassis) -> Reference:
+    return Reference(CAR, chassis, FilterConfig(), {})
 
 
 every_chassis = pytest.mark.parametrize("chassis", CHASSIS, ids=lambda chassis: chassis.label)
@@ -119,34 +116,6 @@ def test_step_is_the_implicit_midpoint_of_the_whole_jacobian(chassis, state):
     assert mean[6] == driven.steer
 
 
-def plant(chassis: Chassis, state: State[float], command: Command[float], seconds: float):
-    """RK4 at 0.1 ms under a constant command."""
-    model = Model(CAR._replace(steer_delay=0.0), chassis=chassis)
-    count = round(seconds / 1e-4)
-    moments = simulate_car(FLOAT, model, start(model, state, 0.0), [command] * count, 1e-4)
-    return np.array(moments[-1].state)
-
-
-@every_chassis
-@pytest.mark.parametrize("state", [STATES[0], STATES[3]])
-def test_error_falls_with_the_square_of_the_step(chassis, state):
-    command = Command(state.steer + 0.1, state.speed + 0.2)  # within the slew limits
-    car = CAR._replace(steer_delay=0.0)
-    history = add_command(NO_HISTORY, 0, command)
-    exact, reference = plant(chassis, state, command, 0.04), make_reference(chassis, car)
-
-    def error(count: int) -> float:
-        now, h_ns = state, 40_000_000 // count
-        for i in range(count):
-            driven = reference.drive(history, now.steer, now.speed, i * h_ns, (i + 1) * h_ns)
-            now = State(*reference.propagate(now, driven, QUIET, h_ns * 1e-9)[0].tolist())
-        return float(np.abs(np.array(now) - exact)[:6].max())
-
-    coarse, middle, fine = error(4), error(8), error(16)
-    assert 3.0 < coarse / middle < 5.5
-    assert 3.0 < middle / fine < 5.5
-
-
 @every_chassis
 @pytest.mark.parametrize("speed", [0.05, 0.25, 0.4, 0.55])
 def test_long_steps_at_low_speed_stay_bounded(chassis, speed):
@@ -154,12 +123,10 @@ def test_long_steps_at_low_speed_stay_bounded(chassis, speed):
     belief = make_belief(np.array([0, 0, 0, speed, 2.0, 0.3, 0.1]), np.eye(7) * 1e-2)
     history = add_command(NO_HISTORY, 0, Command(0.1, speed))
     now = make_reference(chassis).predict(history, belief, 20_000_000, 2_520_000_000)
-    moved = now.belief
     assert now.sound
-    assert np.isfinite(moved.covariance).all()
-    assert np.linalg.eigvalsh(moved.covariance).min() > 0.0
-    assert abs(moved.mean[4]) < 0.5
-    assert abs(moved.mean[5]) < 0.3
+    assert np.isfinite(now.belief.covariance).all()
+    assert np.linalg.eigvalsh(now.belief.covariance).min() > 0.0
+    assert (np.abs(now.belief.mean[4:6]) < [0.5, 0.3]).all()
 
 
 @pytest.mark.parametrize("state", STATES)
@@ -205,21 +172,6 @@ def assert_same(one: sf.FilterState, other: sf.FilterState) -> None:
         assert (a.measurement, a.believed) == (b.measurement, b.believed)
 
 
-@every_chassis
-@pytest.mark.parametrize("car", [DEFAULT_CAR, ODD_CAR])
-def test_a_drive_gives_the_same(simulate, run_filter, car, chassis):
-    drive = simulate(seed=3, seconds=1.0, car=car, gyro=True)
-    reference, compiled = both(car, chassis)
-    pairs = zip(run_filter(reference, drive), run_filter(compiled, drive), strict=True)
-    for k, ((t_ns, one), (_, other)) in enumerate(pairs):
-        if k % 40 == 0:
-            assert_same(one, other)
-            seen = [sf.predict_to(flt, s, t_ns) for flt, s in ((reference, one), (compiled, other))]
-            if seen[0] is not None:
-                assert_close(seen[1].state, seen[0].state)
-                assert_close(seen[1].sd, seen[0].sd)
-
-
 FINITE = st.floats(-1.0, 1.0)
 
 
@@ -231,25 +183,25 @@ def scenes(draw: st.DrawFn) -> tuple[sf.Node, History, list[Any]]:
     mean = scale * rng.uniform(-1.0, 1.0, 7) + np.array([0, 0, 0, draw(st.floats(-1, 3)), 0, 0, 0])
     root = 10.0 ** draw(st.floats(-4.0, 0.0)) * rng.standard_normal((7, 7))
     belief = make_belief(mean, root @ root.T + 1e-10 * np.eye(7))
-    times = tuple(T0 - 60 * MS + k * draw(st.integers(1, 12)) * MS for k in range(12))
-    times = tuple(sorted(set(times)))
-    orders = tuple(
-        None if rng.random() < 0.2 else Command(*rng.uniform((-0.5, -1.0), (0.5, 4.0)).tolist())
-        for _ in times
-    )
-    measured = [make_wheel_speed(T0 + 3 * MS, mean[3] + draw(FINITE))]
-    measured += [make_gyro(T0 + draw(st.integers(0, 40)) * MS, mean[4] + draw(FINITE))]
-    place = draw(st.integers(0, 400)) * MS
-    pose = (float(value) + 0.1 * draw(FINITE) for value in mean[:3])
-    measured += [make_pose(T0 + place, *pose)]
+    steps = {k * draw(st.integers(1, 12)) for k in range(12)}
+    times = tuple(T0 + (step - 60) * MS for step in sorted(steps))
+    drawn = rng.uniform((-0.5, -1.0), (0.5, 4.0), (len(times), 2)).tolist()
+    orders = tuple(None if rng.random() < 0.2 else Command(*each) for each in drawn)
+    pose = [float(value) + 0.1 * draw(FINITE) for value in mean[:3]]
+    measured = [
+        make_wheel_speed(T0 + 3 * MS, mean[3] + draw(FINITE)),
+        make_gyro(T0 + draw(st.integers(0, 40)) * MS, mean[4] + draw(FINITE)),
+        make_pose(T0 + draw(st.integers(0, 400)) * MS, *pose),
+    ]
     first = make_pose(T0, *mean[:3].tolist())
     return (sf.Node(first, belief, math.nan, True, sf.NO_TALLY), History(times, orders), measured)
 
 
+CARS = st.sampled_from([DEFAULT_CAR, ODD_CAR])
+
+
 @settings(max_examples=60)
-@given(
-    scene=scenes(), car=st.sampled_from([DEFAULT_CAR, ODD_CAR]), chassis=st.sampled_from(CHASSIS)
-)
+@given(scene=scenes(), car=CARS, chassis=st.sampled_from(CHASSIS))
 def test_any_belief_orders_and_measurements_give_the_same(scene, car, chassis):
     node, history, measured = scene
     end = T0 + 450 * MS

@@ -98,6 +98,10 @@ def client() -> NatNetSource:
     return client
 
 
+def sent_by(client: NatNetSource, t_ns: int) -> list[natnet.Message]:
+    return [natnet.decode(datagram, (4, 1)) for datagram in client.on_timer(t_ns)]
+
+
 def make_frame(version: tuple[int, int] = (4, 1), **fields: Any) -> bytes:
     body = RigidBody(1, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3, 0.9))
     return natnet.encode(Frame(9, (body,), **fields), version)
@@ -113,14 +117,10 @@ def test_a_host_that_never_answers_is_reported_after_three_seconds_with_what_to_
     assert not client.refused
 
 
-def test_cameras_need_not_stamp_exposure(client):
-    (raw,) = client.on_datagram(make_frame(transmit_ticks=200), 7, IP, "data")
-    assert raw.source_ticks == 200
-    (raw,) = client.on_datagram(make_frame(), 7, IP, "data")
-    assert raw.source_ticks is None
-
-
-def test_messages_from_the_server_are_passed_on(client):
+def test_cameras_need_not_stamp_exposure_and_what_the_server_says_is_passed_on(client):
+    for stamped, ticks in (({"transmit_ticks": 200}, 200), ({}, None)):
+        (raw,) = client.on_datagram(make_frame(**stamped), 7, IP, "data")
+        assert raw.source_ticks == ticks
     client.on_datagram(natnet.encode(natnet.MessageString("licence expired")), 5, IP)
     assert client.detail == "server: licence expired"
 
@@ -129,8 +129,7 @@ def test_messages_from_the_server_are_passed_on(client):
 def test_a_server_that_says_goodbye_is_called_again(client, goodbye):
     client.on_datagram(natnet.encode(goodbye), 10, IP)
     assert not client.connected
-    sent = [natnet.decode(d, (4, 1)) for d in client.on_timer(SECOND)]
-    assert natnet.Bare.CONNECT in sent
+    assert natnet.Bare.CONNECT in sent_by(client, SECOND)
 
 
 def test_a_changed_bitstream_asks_who_is_there(client):
@@ -144,8 +143,7 @@ def test_a_changed_bitstream_asks_who_is_there(client):
 
 def test_a_changed_model_is_asked_for_and_followed(client):
     client.on_datagram(make_frame(params=natnet_wire.MODEL_CHANGED), 10, IP, "data")
-    sent = [natnet.decode(d, (4, 1)) for d in client.on_timer(300 * MS)]
-    assert sent.count(natnet.Bare.REQUEST_MODEL) == 1
+    assert sent_by(client, 300 * MS).count(natnet.Bare.REQUEST_MODEL) == 1
     model = natnet.ModelDef((natnet.RigidBodyDesc("car", 7),))
     client.on_datagram(natnet.encode(model), 301 * MS, IP)
     assert client.detail == "following 'car' (id 7)"
@@ -159,37 +157,29 @@ def test_frames_of_another_version_ask_who_is_there(client):
 
 
 def test_an_echo_counts_once_and_only_if_requested(client):
-    sent = [natnet.decode(d, (4, 1)) for d in client.on_timer(50 * MS)]
-    (echo,) = [m for m in sent if isinstance(m, natnet.EchoRequest)]
-    reply = natnet.encode(natnet.EchoResponse(echo.client_stamp, 77))
+    (echo,) = [m for m in sent_by(client, 50 * MS) if isinstance(m, natnet.EchoRequest)]
     measured: list[tuple[int, ...]] = []
     client.ingest.timing.echo.add = lambda *times: measured.append(times)
-    client.on_datagram(reply, 60 * MS, IP)
-    client.on_datagram(reply, 61 * MS, IP)
-    client.on_datagram(natnet.encode(natnet.EchoResponse(123, 77)), 62 * MS, IP)
+    for ms, stamp in ((60, echo.client_stamp), (61, echo.client_stamp), (62, 123)):
+        client.on_datagram(natnet.encode(natnet.EchoResponse(stamp, 77)), ms * MS, IP)
     assert measured == [(50 * MS, 60 * MS, 77)]
 
 
 def test_forced_transport_goes_before_the_servers_word():
-    info = natnet.encode(INFO)
     for forced, expected in ((None, False), (True, True), (False, False)):
         client = NatNetSource("car", IP, IngestConfig(), unicast=forced)
-        client.on_datagram(info, 0, IP)
+        client.on_datagram(natnet.encode(INFO), 0, IP)
         assert client.unicast is expected
 
 
 NO_TICKS = dict.fromkeys(("mid_exposure_ticks", "data_received_ticks", "transmit_ticks"), 0)
 FIXED = settings(derandomize=True, deadline=None, database=None, max_examples=60)
 
-f32 = st.floats(width=32, allow_nan=False)
-f64 = st.floats(allow_nan=False)
-i32 = st.integers(-(2**31), 2**31 - 1)
+f32, f64 = st.floats(width=32, allow_nan=False), st.floats(allow_nan=False)
+i16, i32 = (st.integers(-(2**bits), 2**bits - 1) for bits in (15, 31))
 u64 = st.integers(0, 2**64 - 1)
-i16 = st.integers(-(2**15), 2**15 - 1)
-vec3 = st.tuples(f32, f32, f32)
-vec4 = st.tuples(f32, f32, f32, f32)
-bodies = st.lists(st.builds(RigidBody, i32, vec3, vec4, f32, i16), max_size=3).map(tuple)
-frames = st.builds(Frame, i32, bodies, f64, u64, u64, u64, i16)
+body = st.builds(RigidBody, i32, st.tuples(f32, f32, f32), st.tuples(*[f32] * 4), f32, i16)
+frames = st.builds(Frame, i32, st.lists(body, max_size=3).map(tuple), f64, u64, u64, u64, i16)
 
 
 @pytest.mark.parametrize("version", RICH)

@@ -22,12 +22,7 @@ def refined(drive, base):
 def test_what_is_learnt_lies_within_its_errors(refined):
     """Slip and a late pose, a bent linkage and its gain look alike: their errors must say so."""
     truth = {**DEFAULT_CAR._asdict(), "wheel_slip.slip": 0.006, "steer_nonlinearity.cubic": -0.6}
-    own = {
-        f"{e.name}.{p.name}": v
-        for e, values in zip(refined.effects, refined.values, strict=True)
-        for p, v in zip(e.parameters, values, strict=True)
-    }
-    found = {**refined.car._asdict(), **own}
+    found = refined.numbers
     told = found.keys() & truth.keys() & refined.sd.keys()
     away = {n: (found[n] - truth[n]) / refined.sd[n] for n in told}
     assert {"steer_gain", "pose_delay", "lf", "c_sf"} <= set(away)

@@ -38,8 +38,7 @@ class Host:
     def ask(self, command: c.Command, ms: float = 1.0) -> Any:
         self.send(command)
         self.run(ms)
-        replies = self.heard()
-        return replies[-1] if replies else None
+        return next(iter(self.heard()[::-1]), None)
 
     def values(self) -> Values:
         return self.ask(c.GetValues())

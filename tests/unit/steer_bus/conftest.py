@@ -1,7 +1,7 @@
 """A small recorded drive: deterministic, with every kind of own message."""
 
 import dataclasses
-from pathlib import Path
+from collections import namedtuple
 
 import numpy as np
 import pytest
@@ -17,13 +17,7 @@ START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 5_000_000
 
 
-@dataclasses.dataclass(frozen=True)
-class Drive:
-    path: Path
-    messages: dict
-    order: list
-
-
+Drive = namedtuple("Drive", "path messages order")
 TOPIC_OF = {c: f"/steerd/car1/{type_name(c).rpartition('/')[2].lower()}" for c in OWN_MESSAGES}
 
 
@@ -35,8 +29,7 @@ def drive(tmp_path_factory):
         {"steerd.session": {"car": "car1"}, "steerd.vehicle": {"mass_kg": "3.1"}},
         {"car.toml": b"mass_kg = 3.1\n"}, START_NS,
     )  # fmt: skip
-    messages = {topic: [] for topic in TOPIC_OF.values()}
-    order = []
+    messages, order = {topic: [] for topic in TOPIC_OF.values()}, []
     for tick in range(200):
         stamp = START_NS + tick * PERIOD_NS
         for cls, topic in TOPIC_OF.items():

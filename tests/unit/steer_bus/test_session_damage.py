@@ -5,6 +5,7 @@ import os
 import struct
 import tracemalloc
 import zlib
+from unittest.mock import Mock
 
 import lz4.frame
 import numpy as np
@@ -41,6 +42,10 @@ def whole(drive):
 def write(path, *chunks):
     path.write_bytes(b"".join(chunks))
     return path
+
+
+def read_written(folder, *chunks):
+    return read_all(write(folder / "a.mcap", MAGIC, *chunks))
 
 
 def record(opcode, body):
@@ -80,11 +85,7 @@ def kinds(session):
 
 
 def test_a_file_without_permission(tmp_path, monkeypatch):
-    path = write(tmp_path / "a.mcap", MAGIC)
-
-    def refuse(*_, **__):
-        raise PermissionError(13, "Permission denied")
-
+    path, refuse = write(tmp_path / "a.mcap", MAGIC), Mock(side_effect=PermissionError(13, "no"))
     monkeypatch.setattr("pathlib.Path.open", refuse)
     assert refusal(open_session, path)[0] == "unreadable"
 
@@ -149,13 +150,10 @@ def test_a_bomb_is_refused_cheaply(tmp_path):
     liar = chunk(b"", raw=zstandard.compress(bytes(60 << 20)), size=1000)
     maker = lz4.frame.LZ4FrameCompressor()  # its frame does not say how much it unpacks to
     silent = chunk(b"", "lz4", maker.begin() + maker.compress(bytes(60 << 20)) + maker.flush(), 999)
-    path = write(
-        tmp_path / "a.mcap", MAGIC, chunk(b"", raw=bomb, size=60 << 20),
-        chunk(b"", raw=small, size=3 << 20), chunk(b"", raw=bomb, size=1 << 50), liar, silent,
-        chunk(channel() + message()),
-    )  # fmt: skip
+    sizes = ((bomb, 60 << 20), (small, 3 << 20), (bomb, 1 << 50))
+    bad = [*(chunk(b"", raw=raw, size=size) for raw, size in sizes), liar, silent]
     tracemalloc.start()
-    session, found = read_all(path)
+    session, found = read_written(tmp_path, *bad, chunk(channel() + message()))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert (kinds(session), len(found)) == (["damaged"] * 5 + ["unfinished"], 1)
@@ -173,20 +171,19 @@ def test_a_bomb_is_refused_cheaply(tmp_path):
     record(0, b""), record(15, b"12345"), struct.pack("<BQ", 6, 1 << 63),
 ])  # fmt: skip
 def test_a_bad_record_does_not_hide_the_next(tmp_path, bad):
-    good = chunk(channel() + message(data=b"abc"))
-    session, found = read_all(write(tmp_path / "a.mcap", MAGIC, bad, good))
+    session, found = read_written(tmp_path, bad, chunk(channel() + message(data=b"abc")))
     assert (kinds(session), [data for _, _, data in found]) == (["damaged", "unfinished"], [b"abc"])
 
 
 def test_unknown_records_messages_of_no_channel_and_channels_of_two_minds_or_too_many(tmp_path):
-    path = write(tmp_path / "a.mcap", MAGIC, record(0x90, b"private"), chunk(channel() + message()))
-    assert kinds(open_session(path)) == ["unknown_record", "unfinished"]
+    session, _ = read_written(tmp_path, record(0x90, b"private"), chunk(channel() + message()))
+    assert kinds(session) == ["unknown_record", "unfinished"]
     body = channel() + channel(topic="/b") + message() + message(key=9)
-    session, found = read_all(write(tmp_path / "a.mcap", MAGIC, chunk(body)))
+    session, found = read_written(tmp_path, chunk(body))
     assert kinds(session) == ["conflict", "unfinished", "unknown_channel"]
     assert [topic for topic, _, _ in found] == ["/a"]
     body = b"".join(channel(key, f"/t{key}") for key in range(5000))
-    session = open_session(write(tmp_path / "a.mcap", MAGIC, chunk(body)))
+    session, _ = read_written(tmp_path, chunk(body))
     assert kinds(session)[0] == "damaged"
     assert len(session.info().topics) <= 4096
 

@@ -7,6 +7,7 @@ import stat
 import subprocess
 import sys
 import warnings
+from unittest.mock import Mock
 
 import pytest
 
@@ -78,8 +79,7 @@ def test_whatever_byte_is_the_last_one(tmp_path, room_for, whole):
             assert not path.exists()
             if not flushed:
                 continue
-            partial = path.with_name("a.mcap.partial")
-            found = open_session(partial)
+            found = open_session(path.with_name("a.mcap.partial"))
             assert found.info().count >= flushed
             assert found.attachment("car.toml") == b"mass = 3.1\n"
             saved.add(found.info().count)
@@ -103,10 +103,7 @@ def test_a_file_is_made_and_replaced(tmp_path):
 def test_a_write_that_fails_keeps_the_old_file_and_leaves_nothing(tmp_path, monkeypatch):
     path = tmp_path / "car.toml"
     path.write_text("old")
-
-    def full(_):
-        raise OSError(28, "No space left on device")
-
+    full = Mock(side_effect=OSError(28, "No space left on device"))
     monkeypatch.setattr(atomic_file.os, "fsync", full)
     with pytest.raises(OSError, match="No space left"):
         write_atomically(path, "new")
@@ -141,9 +138,8 @@ while True:
 @pytest.mark.parametrize("progress_ns", [700_000_000, 1_120_000_000])
 def test_sigkill_loses_at_most_three_tenths_of_a_second(tmp_path, progress_ns):
     path = tmp_path / "a.mcap"
-    with subprocess.Popen(
-        [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE
-    ) as process:
+    command = [sys.executable, "-c", WRITER, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         first = last = int.from_bytes(process.stdout.read(8), "little")
         while last - first < progress_ns:
             last = int.from_bytes(process.stdout.read(8), "little")
@@ -151,8 +147,7 @@ def test_sigkill_loses_at_most_three_tenths_of_a_second(tmp_path, progress_ns):
         rest = process.stdout.read()
         process.wait()
     last = int.from_bytes(rest[-8:], "little") if rest else last
-    partial = path.with_name("a.mcap.partial")
-    session = open_session(partial)
+    session = open_session(path.with_name("a.mcap.partial"))
     assert session.info().warnings[-1].startswith("not finished")
     assert "steerd.session" in session.info().metadata
     times = session.columns(ClockSample)["monotonic_ns"]

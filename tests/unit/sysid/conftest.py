@@ -22,10 +22,8 @@ POSE_SD, WHEEL_SD = np.array([1e-3, 1e-3, 2e-3]), 0.02
 
 def mixed_commands(seconds: float, seed: int, lateral: float = 5.0) -> Array:
     """Steps, sines and chirps of steering at 1 to 3 m/s, no faster than the daemon's limit."""
-    rng = np.random.default_rng(seed)
-    count = round(seconds / STEP)
-    steer, speed = np.zeros(count), np.zeros(count)
-    i = 0
+    rng, count, i = np.random.default_rng(seed), round(seconds / STEP), 0
+    steer, speed = np.zeros((2, count))
     while i < count:
         n = min(int(rng.uniform(0.4, 2.0) / STEP), count - i)
         v, kind, t = rng.uniform(1.0, 3.0), rng.integers(3), np.arange(n) * STEP
@@ -43,15 +41,11 @@ def mixed_commands(seconds: float, seed: int, lateral: float = 5.0) -> Array:
 def simulate_run(model, commands, first, seed):
     """A drive of a known car, poses and wheel speed at 200 Hz."""
     count, path = len(commands), march_states(model, commands, first, STEP)
-    rng = np.random.default_rng([7, seed])
-    t = np.arange(count + 1) * STEP
+    rng, t = np.random.default_rng([7, seed]), np.arange(count + 1) * STEP
     pose = path[:, :3] + rng.normal(size=(count + 1, 3)) * POSE_SD
     wheel = path[:, 3] / model.car.speed_gain + rng.normal(size=count + 1) * WHEEL_SD
-    at = t[:-1]
-    return make_run(
-        f"run {seed}", Signal(at, commands[:, 0]), Signal(at, commands[:, 1]), Signal(t, pose),
-        wheel=Signal(t, wheel), h=STEP,
-    )  # fmt: skip
+    asked = (Signal(t[:-1], each) for each in commands.T)
+    return make_run(f"run {seed}", *asked, Signal(t, pose), wheel=Signal(t, wheel), h=STEP)
 
 
 def drive(model, seconds, seed, speed=None):

@@ -1,5 +1,7 @@
 """Compiled windows against the torch reference, sensitivities against finite differences."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 import torch
@@ -61,29 +63,23 @@ def test_kernel_equals_reference_in_value_and_gradient(any_model, integrator, sl
     assert_same(fast, slow, p, first, commands)
 
 
-def test_more_windows_than_a_block_and_substeps():
+def test_more_windows_than_a_block_and_substeps_and_single_precision_is_refused():
     p, first, commands = _inputs(Model(DEFAULT_CAR), count=35, steps=12)
+    with pytest.raises(TypeError, match="float64"):
+        simulate(make_kernels(), p.float(), first, commands, H)
     fast = simulate(make_kernels(), p, first, commands, H, substeps=3, history=4)
     repeated = commands.repeat_interleave(3, dim=1)
     slow = simulate_reference(p, first, repeated, H / 3, history=12)[:, ::3]
     assert_same(fast, slow, p, first, commands)
 
 
-def test_single_precision_is_refused():
-    p, first, commands = _inputs(Model(DEFAULT_CAR), count=1, steps=2)
-    with pytest.raises(TypeError, match="float64"):
-        simulate(make_kernels(), p.float(), first, commands, H)
-
-
 def _stations(kernels: native.Kernels, p, held: HeldCommands, windows: int) -> native.Stations:
-    late = native.delays_of(kernels, p)[2]
-    rows, row = [], 0
-    for w in range(windows):
-        for t in np.arange(0.0107, 0.19, 0.0173):
-            for kind, channel in ((0, 0), (1, 3), (2, 4)):
-                true = (t - (late if kind == 0 else 0.0)) / held.fine
-                rows.append((w, int(np.floor(true)), channel, row, kind == 0, true))
-                row += 3 if kind == 0 else 1
+    late, rows, row = native.delays_of(kernels, p)[2], [], 0
+    for w, t in product(range(windows), np.arange(0.0107, 0.19, 0.0173)):
+        for pose, channel in ((True, 0), (False, 3), (False, 4)):
+            true = (t - pose * late) / held.fine
+            rows.append((w, int(np.floor(true)), channel, row, pose, true))
+            row += 3 if pose else 1
     rows.sort(key=lambda r: (r[0], r[5]))
     table = np.array([r[:5] for r in rows], np.int64)
     shares = np.array([r[5] - r[1] for r in rows])

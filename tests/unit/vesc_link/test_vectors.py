@@ -1,12 +1,13 @@
 """Frames that the real firmware's own C code confirmed byte for byte, decoded and built again.
 
 All of them are framed; what a car's link does not use (`NOT_USED`) is no command and no reply.
+Bytes and numbers are those of the firmware, the fields of replies have our names.
 """
 
 import dataclasses
 import json
+from itertools import starmap
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -16,9 +17,8 @@ from steerd.vesc_link.frames import FrameParser, encode_frame
 from steerd.vesc_link.ids import FW_3_00, FW_7_01, Firmware
 from steerd.vesc_link.packets import decode_command, decode_reply, encode_command, encode_reply
 
-HERE = Path(__file__).parent
-SPEC: dict[str, Any] = json.loads((HERE / "vesc_vectors.json").read_text())
-VECTORS: dict[str, dict[str, Any]] = {vector["name"]: vector for vector in SPEC["vectors"]}
+SPEC = json.loads(Path(__file__).with_name("vesc_vectors.json").read_text())
+VECTORS = {vector["name"]: vector for vector in SPEC["vectors"]}
 NOT_USED = {9, 10, 20, 21, 31, 34, 47, 62, 63, 115, 128, 159}
 """Ids of what only VESC Tool, the CAN bus and other applications need."""
 FOREIGN = [n for n, v in VECTORS.items() if int(v["payload"][:2], 16) in NOT_USED]
@@ -47,22 +47,17 @@ COMMANDS: dict[str, c.Command] = {
         0.5, 0.5, -9228, 9228, 0.004999999888241291, 0.949999988079071, -500, 500, -20, 40,
     ),
 }  # fmt: skip
-UNITS = {"acc_": ("accel_", t.STANDARD_GRAVITY), "gyro_": ("gyro_", 3.141592653589793 / 180)}
 
 
-def expected_fields(decoded: dict[str, Any]) -> dict[str, Any]:
-    fields: dict[str, Any] = {}
-    for name, value in decoded.items():
-        if name == "mask":
-            fields["mask"] = int(value, 16)
-        elif name == "uuid":
-            fields["uuid"] = bytes.fromhex(value)
-        elif name[:-1] in UNITS:
-            prefix, unit = UNITS[name[:-1]]
-            fields[prefix + name[-1]] = value * unit
-        elif name != "cmd":
-            fields[name] = value
-    return fields
+def expected_field(name, value):
+    """A field as we call it, and its value in SI units."""
+    match name[:-1]:
+        case "acc_":
+            return f"accel_{name[-1]}", value * t.STANDARD_GRAVITY
+        case "gyro_":
+            return name, value * 3.141592653589793 / 180
+    parse = {"mask": lambda v: int(v, 16), "uuid": bytes.fromhex}.get(name, lambda v: v)
+    return name, parse(value)
 
 
 def firmware_of(name: str) -> Firmware:
@@ -97,7 +92,8 @@ def test_command_encodes_to_the_frame_and_back(name):
 def test_reply_decodes_to_the_numbers_and_back(name):
     reply = decode_reply(payload_of(name))
     got = dataclasses.asdict(reply)
-    for field, value in expected_fields(VECTORS[name]["decoded"]).items():
+    told = {k: v for k, v in VECTORS[name]["decoded"].items() if k != "cmd"}
+    for field, value in starmap(expected_field, told.items()):
         number = isinstance(value, float | int)
         assert got[field] == (pytest.approx(value, rel=1e-12) if number else value), field
     again = encode_frame(encode_reply(reply, firmware_of(name)))

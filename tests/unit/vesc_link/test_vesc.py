@@ -29,10 +29,6 @@ def brake(current: float, steer: float | None = None) -> v.Drive:
     return v.Drive(ActuationMode.BRAKE, steer, current=current)
 
 
-def go(steer: float, speed: float) -> v.Drive:
-    return v.Drive(ActuationMode.SPEED, steer, speed)
-
-
 class Vesc:
     """Just enough of a VESC to answer a client, frame by frame."""
 
@@ -55,35 +51,23 @@ class Vesc:
         return b"".join(encode_frame(encode_reply(each, self.firmware)) for each in replies if each)
 
     def _reply(self, command: Command) -> Reply | None:
-        match command:
-            case c.GetFwVersion():
-                return i.FwVersion(*self.firmware, "60_MK6", UUID)
-            case c.GetAppConf():
-                return self.appconf
-            case c.GetMcConfTemp():
-                return self.limits
-            case c.GetValues():
-                return self.values
-            case c.GetValuesSelective(mask=mask):
-                return dataclasses.replace(self.values, mask=mask)
-            case c.GetValuesSetupSelective(mask=mask):
-                return t.Uptime(self.uptime_ms, mask)
-            case c.GetImuData(mask=mask):
-                return t.Imu(mask, accel_x=0.0, accel_y=0.0, accel_z=9.80665, gyro_z=0.5)
-            case c.SetMcConfTemp():
-                return i.Ack(CommandId.SET_MCCONF_TEMP)
-            case _:
-                return None
+        mask = getattr(command, "mask", 0)
+        return {
+            c.GetFwVersion: i.FwVersion(*self.firmware, "60_MK6", UUID),
+            c.GetAppConf: self.appconf, c.GetMcConfTemp: self.limits, c.GetValues: self.values,
+            c.GetValuesSelective: dataclasses.replace(self.values, mask=mask),
+            c.GetValuesSetupSelective: t.Uptime(self.uptime_ms, mask),
+            c.GetImuData: t.Imu(mask, accel_x=0.0, accel_y=0.0, accel_z=9.80665, gyro_z=0.5),
+            c.SetMcConfTemp: i.Ack(CommandId.SET_MCCONF_TEMP),
+        }.get(type(command))  # fmt: skip
 
 
 def connect(link: v.VescLink, vesc: Vesc, t_ns: int = 0) -> list[v.Event]:
     events: list[v.Event] = []
-    for step in range(10):
-        if link.ready:
-            break
-        now = t_ns + step * MS
-        events += link.on_bytes(now, vesc.answer(link.make_connect(now)))
-    assert link.ready
+    while not link.ready:
+        assert len(events) < 10
+        events += link.on_bytes(t_ns, vesc.answer(link.make_connect(t_ns)))
+        t_ns += MS
     vesc.seen.clear()
     return events
 
@@ -96,6 +80,11 @@ def link(vesc: Vesc) -> v.VescLink:
     made = v.VescLink(F1TENTH)
     connect(made, vesc)
     return made
+
+
+def tick(link: v.VescLink, vesc: Vesc, t_ns: int, drive: v.Drive = DRIVE) -> list[v.Event]:
+    """A tick that is answered a millisecond later."""
+    return link.on_bytes(t_ns + MS, vesc.answer(link.make_tick(drive, t_ns)))
 
 
 def kinds(events: list[v.Event]) -> list[type[Reply | v.Rebooted]]:
@@ -128,7 +117,7 @@ def test_connect_and_drive_with_every_firmware(firmware):
     connect(link, vesc)
     assert (link.appconf is not None) == (firmware >= (3, 55))
     assert (link.limits is not None) == knows(firmware, CommandId.GET_MCCONF_TEMP)
-    events = link.on_bytes(2 * MS, vesc.answer(link.make_tick(DRIVE, MS)))
+    events = tick(link, vesc, MS)
     assert c.SetErpm(4614.0) in vesc.seen
     assert [s for s in vesc.seen if isinstance(s, c.SetServoPos)] == [c.SetServoPos(0.409)]
     assert telemetry_in(events).reply.erpm == 4614.0
@@ -171,21 +160,21 @@ def test_one_tick_is_one_write_of_one_usb_packet_and_braking_needs_no_identity(l
     (v.Drive(ActuationMode.SHORT), [c.SetDuty(0.0)]),
     (v.Drive(ActuationMode.RELEASE), [c.SetCurrent(0.0)]), (SILENT, []),
     (v.Drive(steer=0.0), [c.SetServoPos(0.53)]),
-    (go(9.0, 99.0), [c.SetErpm(23250.0), c.SetServoPos(0.15)]),
+    (v.Drive(ActuationMode.SPEED, 9.0, 99.0), [c.SetErpm(23250.0), c.SetServoPos(0.15)]),
 ], ids=lambda value: type(value).__name__)  # fmt: skip
 def test_drive_orders(link, vesc, drive, motion):
     vesc.answer(link.make_tick(drive, 0))
     assert [s for s in vesc.seen if not type(s).__name__.startswith("Get")] == motion
 
 
-@pytest.mark.parametrize(
-    "drive", [go(nan, 1.0), go(0.0, nan), go(0.0, inf), brake(nan, 0.0), brake(1.0, inf)]
-)
+@pytest.mark.parametrize("drive", [
+    *(v.Drive(ActuationMode.SPEED, *each) for each in ((nan, 1.0), (0.0, nan), (0.0, inf))),
+    brake(nan, 0.0), brake(1.0, inf),
+])  # fmt: skip
 def test_order_that_is_no_number_sends_nothing_and_leaves_polls_open(link, vesc, drive):
     with pytest.raises(ValueError, match=r"no command|cannot be sent"):
         link.make_tick(drive, 0)
-    events = link.on_bytes(MS, vesc.answer(link.make_tick(brake(5.0), 0)))
-    assert t.Values in kinds(events)
+    assert t.Values in kinds(tick(link, vesc, 0, brake(5.0)))
 
 
 def test_reply_carries_send_and_first_byte_stamps(link, vesc):
@@ -216,8 +205,7 @@ def test_late_reply_keeps_its_true_interval(link, vesc):
     second = vesc.answer(link.make_tick(SILENT, 82 * MS))
     assert when(telemetry_in(link.on_bytes(83 * MS, late))) == (0, 83 * MS)
     assert link.on_bytes(84 * MS, second) == []
-    third = vesc.answer(link.make_tick(SILENT, 90 * MS))
-    assert when(telemetry_in(link.on_bytes(91 * MS, third))) == (90 * MS, 91 * MS)
+    assert when(telemetry_in(tick(link, vesc, 90 * MS, SILENT))) == (90 * MS, 91 * MS)
 
 
 @pytest.mark.parametrize(("cut", "whole"), [(56, t.Values), (51, t.Values), (50, None), (42, None)])
@@ -244,8 +232,7 @@ def test_frames_that_answer_nothing_are_no_events(link):
 
 def test_restart_is_seen_by_uptime_tachometer_and_watchdog_fault(link, vesc):
     def reasons(n: int) -> list[str]:
-        events = link.on_bytes(n, vesc.answer(link.make_tick(DRIVE, n)))
-        return [event.reason for event in events if isinstance(event, v.Rebooted)]
+        return [e.reason for e in tick(link, vesc, n) if isinstance(e, v.Rebooted)]
 
     assert reasons(0) == []
     vesc.uptime_ms = 10
@@ -262,9 +249,8 @@ def test_restart_is_seen_by_uptime_tachometer_and_watchdog_fault(link, vesc):
 def test_uptime_is_requested_once_a_second_and_alive_never_sent(link, vesc):
     drives = itertools.cycle((DRIVE, brake(1.0), SILENT, v.Drive(ActuationMode.RELEASE)))
     for n in range(1000):
-        t_ns = n * 5 * MS
         vesc.uptime_ms += 5
-        link.on_bytes(t_ns + MS, vesc.answer(link.make_tick(next(drives), t_ns)))
+        tick(link, vesc, n * 5 * MS, next(drives))
     counts = Counter(map(type, vesc.seen))
     assert (counts[c.GetValuesSetupSelective], counts[c.GetValuesSelective]) == (5, 1000)
     assert c.Alive not in counts
@@ -285,8 +271,7 @@ def test_requests_go_out_when_there_is_room(link, vesc):
     sent = next(s for s in vesc.seen if isinstance(s, c.SetMcConfTemp))
     assert (sent.store, sent.ack, sent.erpm_min, sent.erpm_max) == (False, True, -9228, 9228)
     vesc.limits = dataclasses.replace(vesc.limits, erpm_min=-9228, erpm_max=9228)
-    events = link.on_bytes(11 * MS, vesc.answer(link.make_tick(DRIVE, 10 * MS)))
-    assert i.McConfTemp in kinds(events)
+    assert i.McConfTemp in kinds(tick(link, vesc, 10 * MS))
     assert limits_hold(limits, link.limits)
     assert not limits_hold(make_restored_limits(LIMITS), link.limits)
 
@@ -306,20 +291,17 @@ def test_session_limits_only_ever_tighten():
 def test_long_configuration_passes_the_running_ceiling_only_when_requested(link, vesc):
     assert link.on_bytes(0, encode_frame(encode_reply(vesc.appconf)) + bytes(600)) == []
     link.request(c.GetAppConf())
-    events = link.on_bytes(MS, vesc.answer(link.make_tick(DRIVE, MS)))
-    assert i.AppConf in kinds(events)
+    assert i.AppConf in kinds(tick(link, vesc, MS))
 
 
 def test_reset_forgets_the_device_and_its_fault(link, vesc):
     vesc.values = dataclasses.replace(VALUES, fault=10)
-    assert v.Rebooted in kinds(link.on_bytes(MS, vesc.answer(link.make_tick(DRIVE, 0))))
-    again = link.on_bytes(3 * MS, vesc.answer(link.make_tick(DRIVE, 2 * MS)))
-    assert v.Rebooted not in kinds(again)
+    assert v.Rebooted in kinds(tick(link, vesc, 0))
+    assert v.Rebooted not in kinds(tick(link, vesc, 2 * MS))
     link.reset()
     assert (link.version, link.limits, link.ready) == (None, None, False)
     connect(link, vesc, 10 * MS)
-    events = link.on_bytes(500 * MS, vesc.answer(link.make_tick(DRIVE, 500 * MS)))
-    assert v.Rebooted in kinds(events)
+    assert v.Rebooted in kinds(tick(link, vesc, 500 * MS))
 
 
 def test_a_request_that_drives_or_that_the_firmware_cannot_answer_is_refused_at_once():

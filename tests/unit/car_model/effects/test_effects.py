@@ -18,7 +18,7 @@ from steerd.car_model.state import ORIGIN, Command, State
 from tests.textbook import feedforward_steer, steady_slip
 
 CAR = DEFAULT_CAR
-NO_RATES = Rates(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+REST = loads_at(CAR, 0.0)
 
 
 def steady_turn(speed: float, curvature: float) -> State[float]:
@@ -42,13 +42,13 @@ def glided(
     return glide(FLOAT, model, moment, 0.0, accel, 0.0, h).state
 
 
-def tyres(name: str, values: tuple[float, ...], slips: Axles[float], accel: float = 0.0, car=CAR):
-    effect = EFFECTS[name]
+def contact(slips: Axles[float], accel: float = 0.0, car=CAR, state=ORIGIN) -> Contact:
     loads = loads_at(car, accel)
-    linear = lateral_forces(car, slips, loads)
-    at = Contact(car, ORIGIN, 0.0, accel, slips, loads, linear)
-    forces: Axles[float] = effect.forces(FLOAT, values, at)
-    return forces
+    return Contact(car, state, state.steer, accel, slips, loads, lateral_forces(car, slips, loads))
+
+
+def tyres(name: str, values: tuple[float, ...], slips: Axles[float], accel: float = 0.0, car=CAR):
+    return EFFECTS[name].forces(FLOAT, values, contact(slips, accel, car))
 
 
 def test_backlash_holds_the_wheels_inside_the_gap():
@@ -79,7 +79,7 @@ def test_relaxation_is_a_first_order_lag_that_leaves_the_steady_turn_alone():
 
 def test_saturation_that_begins_early_is_a_brush_tyre_and_levels_off_at_the_friction_limit():
     """Fiala's tyre (Pacejka, section 3.2) that slides as a whole at 0.6 mu Fz, to 4 %."""
-    limit, slides = CAR.mu * loads_at(CAR, 0.0).front, 0.6
+    limit, slides = CAR.mu * REST.front, 0.6
     for z in (0.02, 0.1, 0.3, 0.6, 1.0, 1.5):
         s = z / (3.0 * slides)
         brush = limit * z * (1.0 - s + s * s / 3.0)
@@ -136,7 +136,7 @@ def test_the_ellipse_takes_from_each_axle_what_its_drive_uses(shares):
 
 def test_lateral_transfer_costs_grip_with_the_square_of_lateral_acceleration():
     slips = Axles(0.05, 0.05)
-    whole = lateral_forces(CAR, slips, loads_at(CAR, 0.0))
+    whole = lateral_forces(CAR, slips, REST)
     found = tyres("lateral_load_transfer", (0.5, 0.6), slips)
     lateral = (found.front + found.rear) / (CAR.mass * GRAVITY)
     assert found.front == pytest.approx(whole.front * (1.0 - 0.5 * lateral**2))
@@ -147,11 +147,10 @@ def test_what_falls_with_load_across_the_car_does_so_along_it():
     e, moved, accel = 0.4, 0.5, 2.0
     pair = sum(0.5 * load * (1.0 - e * (load - 1.0)) for load in (1.0 + moved, 1.0 - moved))
     assert pair == pytest.approx(1.0 - e * moved**2)
-    slips = Axles(1e-6, 1e-6)
-    still, loads = loads_at(CAR, 0.0), loads_at(CAR, accel)
+    slips, loads = Axles(1e-6, 1e-6), loads_at(CAR, accel)
     whole = lateral_forces(CAR, slips, loads)
     found = tyres("lateral_load_transfer", (e * moved**2, moved), slips, accel)
-    assert found.rear == pytest.approx(whole.rear * (1.0 - e * (loads.rear / still.rear - 1.0)))
+    assert found.rear == pytest.approx(whole.rear * (1.0 - e * (loads.rear / REST.rear - 1.0)))
     assert found.front > whole.front
 
 
@@ -164,15 +163,11 @@ def test_drag_is_the_deceleration_of_a_car_left_to_roll():
 
 
 def test_scrub_with_drag_one_takes_the_power_of_slip():
-    hook = EFFECTS["scrub"].rates
     turn = steady_turn(2.0, 0.8)
     v, r, beta = turn.speed, turn.yaw_rate, turn.slip_angle
     slips = Axles(turn.steer - beta - CAR.lf * r / v, CAR.lr * r / v - beta)
-    loads = loads_at(CAR, 0.0)
-    forces = lateral_forces(CAR, slips, loads)
-    at = Contact(CAR, turn, turn.steer, 0.0, slips, loads, forces)
-    found = hook(FLOAT, (0.0, 1.0), at, NO_RATES)
-    power = forces.front * slips.front * v + forces.rear * slips.rear * v
+    found = EFFECTS["scrub"].rates(FLOAT, (0.0, 1.0), contact(slips, state=turn), Rates(*[0.0] * 6))
+    power = sum(f * s * v for f, s in zip(lateral_forces(CAR, slips, REST), slips, strict=True))
     assert -found.speed * CAR.mass * v == pytest.approx(power, rel=1e-9)
 
 
@@ -215,27 +210,25 @@ def test_payload_is_a_smaller_inertia_and_a_weaker_motor():
 
 
 def test_speed_scale_changes_true_speed_and_not_the_reported_one():
-    model = Model(CAR, (EFFECTS["speed_scale"],), ((1.1,),))
     last = drive("speed_scale", (1.1,), ORIGIN, Command(0.0, 2.0), 3.0)[-1].state
     assert last.speed == pytest.approx(2.2, rel=1e-6)
-    assert observe(FLOAT, model, last).wheel_speed == pytest.approx(2.0, rel=1e-6)
+    assert seen("speed_scale", (1.1,), last).wheel_speed == pytest.approx(2.0, rel=1e-6)
 
 
 def test_battery_sag_over_a_minute():
-    effect = EFFECTS["battery_sag"]
-    found = effect.reference(FLOAT, (0.1,), Command(0.1, 2.0), 60.0)
+    found = EFFECTS["battery_sag"].reference(FLOAT, (0.1,), Command(0.1, 2.0), 60.0)
     assert found == pytest.approx((0.1, 2.0 * math.exp(-0.1)))
 
 
+def seen(name: str, values: tuple[float, ...], state: State[float]):
+    return observe(FLOAT, Model(CAR, (EFFECTS[name],), (values,)), state)
+
+
 def test_instruments_see_the_marker_and_the_body_not_the_car():
-    state = ORIGIN._replace(x=1.0, y=2.0, yaw=math.pi / 2)
-    marker = Model(CAR, (EFFECTS["marker_offset"],), ((0.03, 0.01),))
-    seen = observe(FLOAT, marker, state)
-    assert (seen.x, seen.y) == pytest.approx((1.0 - 0.01, 2.0 + 0.03))
-    turned = Model(CAR, (EFFECTS["mocap_yaw"],), ((0.02,),))
-    assert observe(FLOAT, turned, state).yaw == pytest.approx(math.pi / 2 + 0.02)
-    shifted = Model(CAR, (EFFECTS["cog_offset"],), ((0.02,),))
-    assert observe(FLOAT, shifted, state)[:2] == pytest.approx((1.0, 2.0 - 0.02))
+    at = ORIGIN._replace(x=1.0, y=2.0, yaw=math.pi / 2)
+    assert seen("marker_offset", (0.03, 0.01), at)[:2] == pytest.approx((1.0 - 0.01, 2.0 + 0.03))
+    assert seen("mocap_yaw", (0.02,), at).yaw == pytest.approx(math.pi / 2 + 0.02)
+    assert seen("cog_offset", (0.02,), at)[:2] == pytest.approx((1.0, 2.0 - 0.02))
 
 
 @pytest.mark.parametrize(("name", "value", "angle", "wheel"), [

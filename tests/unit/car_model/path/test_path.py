@@ -104,7 +104,7 @@ def oval_raceline(offset: float, count: int = 80) -> str:
 
 
 @pytest.mark.parametrize("offset", [-0.5 * math.pi, 0.0])
-def test_raceline_with_psi_from_north_or_from_x(offset: float) -> None:
+def test_raceline_with_psi_from_north_or_from_x_and_no_other(offset: float) -> None:
     path = make_path(read_track(oval_raceline(offset), "oval.csv"))
     assert path.closed
     assert path.length == pytest.approx(15.8654396, abs=1e-3)  # 12 E(sqrt(5)/3)
@@ -112,9 +112,6 @@ def test_raceline_with_psi_from_north_or_from_x(offset: float) -> None:
     assert path.yaw[0] == pytest.approx(math.pi / 2.0, abs=1e-3)
     assert max(path.speed) == pytest.approx(1.5, abs=0.01)
     assert path.width_left is None
-
-
-def test_a_raceline_whose_psi_fits_neither_is_refused() -> None:
     with pytest.raises(ValueError, match="psi_rad disagrees"):
         make_path(read_track(oval_raceline(1.5), "oval.csv"))
 
@@ -132,10 +129,9 @@ def test_centreline_with_widths_placed_at_the_start(tmp_path: FilePath) -> None:
 
 def test_smoothing_calms_a_noisy_line() -> None:
     noise = np.random.default_rng(3).normal(0.0, 0.01, (80, 2))
-    text = "\n".join(f"{x},{y}" for x, y in oval_points() + noise)
-    track = read_track(text, "noisy.csv")
-    rough, calm = make_path(track), make_path(track, smooth=0.012)
-    assert max(map(abs, calm.curvature)) < 0.5 * max(map(abs, rough.curvature))
+    track = read_track("\n".join(f"{x},{y}" for x, y in oval_points() + noise), "noisy.csv")
+    calm, rough = (max(map(abs, make_path(track, smooth=s).curvature)) for s in (0.012, 0.0))
+    assert calm < 0.5 * rough
 
 
 @pytest.mark.parametrize(("text", "said"), [
@@ -182,10 +178,9 @@ def test_a_heading_chooses_the_branch_and_beyond_an_open_end_the_line_goes_on() 
     assert locate(path, 0.01, 0.0, yaw=other).s == pytest.approx(path.length / 2.0, abs=0.05)
     assert locate(path, 0.01, 0.0, yaw=0.0).s == pytest.approx(0.01, abs=0.01)
     path = parse_path("line:length=2")
-    after = locate(path, 2.3, 0.4)
+    before, after = locate(path, -0.3, -0.4), locate(path, 2.3, 0.4)
     assert (after.s, after.e1, after.curvature) == (2.0, 0.4, 0.0)
     assert after.distance == pytest.approx(0.5)
-    before = locate(path, -0.3, -0.4)
     assert (before.s, before.e1) == (0.0, -0.4)
 
 
@@ -205,13 +200,10 @@ def test_interpolation_goes_round_and_holds_at_ends_and_angles_wrap() -> None:
     ({"yaw": (0.0,)}, "differ in length"), ({"y": (0.0, math.nan, 0.0)}, "not finite"),
 ])  # fmt: skip
 def test_a_broken_path_is_refused(changes: dict[str, object], said: str) -> None:
-    zero = (0.0, 0.0, 0.0)
-    fields: dict[str, object] = {
-        "name": "p", "step": 1.0, "closed": False, "x": (0.0, 1.0, 2.0), "y": zero, "yaw": zero,
-        "curvature": zero,
-    }  # fmt: skip
+    fields = dict.fromkeys(("y", "yaw", "curvature"), (0.0, 0.0, 0.0))
+    fields |= {"name": "p", "step": 1.0, "closed": False, "x": (0.0, 1.0, 2.0)}
     with pytest.raises(ValueError, match=said):
-        Path(**{**fields, **changes})  # type: ignore[arg-type]
+        Path(**{**fields, **changes})
 
 
 # Projection against a brute-force search on a fine resampling.

@@ -30,6 +30,7 @@ def test_nothing_is_followed_before_the_car_is_known_or_a_change_has_some_window
     assert aim(now=early) == "a change is being looked into"
 
 
+FILE = learnt_of(load_car(default_car_path()).car)
 SHIFT = {"forward": (0.03, 0.001, "m"), "left": (0.0, 0.001, "m")}
 ALONE = {"proven": (Cause("marker_offset", "observe", "sensor", SHIFT, 0.95, (), ""), (0.01, 0.0))}
 """A name that stood alone before others came beside it, and its parameters before the change."""
@@ -62,10 +63,8 @@ ALONE = {"proven": (Cause("marker_offset", "observe", "sensor", SHIFT, 0.95, (),
 ])  # fmt: skip
 def test_a_named_change_is_followed_by_its_numbers_alone(aim, changes, numbers):
     *past, last = changes
-    file = learnt_of(load_car(default_car_path()).car)
     for found in (aim(*changes), aim(*past, now=last)):
-        for name, value in zip(found._fields, found, strict=True):
-            assert value == pytest.approx(numbers.get(name, getattr(file, name)), rel=1e-6), name
+        assert found._asdict() == pytest.approx(FILE._asdict() | numbers, rel=1e-6)
 
 
 @pytest.mark.parametrize(("doubtful", "why"), [
@@ -88,8 +87,7 @@ def test_doubt_is_said_and_not_followed(aim, doubtful, why):
 def test_bias_and_speed_are_followed_by_themselves_where_they_are_sure(aim):
     bias = Value("steer_bias", 0.01, 0.001, "rad", True)
     others = Value("speed_gain", 0.99, 0.02, "1", True), Value("c_sf", 3.0, 0.1, "1/rad", True)
-    file = learnt_of(load_car(default_car_path()).car)
-    assert aim(values=(bias, *others)) == file._replace(steer_bias=0.01)
-    assert aim(values=(bias._replace(identifiable=False), *others)) == file
+    assert aim(values=(bias, *others)) == FILE._replace(steer_bias=0.01)
+    assert aim(values=(bias._replace(identifiable=False), *others)) == FILE
     known_better = aim(change("steer_bias", 0.02), values=(bias,))
     assert known_better.steer_bias == pytest.approx(0.02), "a named change knows better"

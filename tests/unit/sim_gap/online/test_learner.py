@@ -9,8 +9,6 @@ from tests.unit.sim_gap.online.conftest import follow
 
 pytestmark = pytest.mark.slow
 AT, LONGEST = 30.2, 9.8  # when a car changes, and how long it is looked at after that [s]
-
-
 quiet = pytest.fixture(lambda learner, drives: follow(learner, drives(32.0)), scope="module")
 
 

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from steerd.sim_gap.online import tracking
 from steerd.sim_gap.online.changes import SPANS, QuietRatios, ratios, reweighted
 from steerd.sim_gap.online.learner import Change
 from steerd.sim_gap.online.naming import EARLY, Finding, believed, find_cause
 from steerd.sim_gap.online.tracking import Seen, Track, follow, informed_directions, may_change
-from steerd.sim_gap.online.values import amounts_of
+from steerd.sim_gap.online.values import amounts_of, values_of
 from steerd.sysid.inference.augmented_car import BasePrior
 from steerd.sysid.inference.space import make_space
 from tests.unit.sim_gap.online.conftest import change
@@ -22,14 +23,12 @@ def known():
 
 
 def test_a_window_that_tells_nothing_changes_nothing_and_only_a_direction_that_is_told_fades():
-    track = known()
-    after = track
+    track = after = known()
     for _ in range(5000):
         after = follow(after, np.zeros(3), np.zeros((3, 3)))
     np.testing.assert_allclose(after.information, track.information, rtol=1e-12)
     np.testing.assert_allclose(after.mean, track.mean, rtol=1e-9)
-    track, h = known(), np.diag([0.0, 0.5, 0.0])
-    after = track
+    after, h = track, np.diag([0.0, 0.5, 0.0])
     for _ in range(2000):
         after = follow(after, h @ track.mean, h, memory=100.0)
     np.testing.assert_allclose(after.mean, track.mean, rtol=1e-6)
@@ -160,6 +159,63 @@ def test_healthy_windows_have_no_cause_and_only_what_a_lane_shows_at_once_can_co
     assert find_cause(known.reference, known.track, runs) == Finding("none", None)
     few = find_cause(known.reference, known.track, runs[-EARLY + 1 :])
     assert few == Finding("changed", None), "too early to say so"
-    possible = may_change(healthy.known.reference.augmented, runs)
+    possible = may_change(known.reference.augmented, runs)
     assert {"steer_lag", "steer_backlash", "marker_offset"} <= set(possible)
     assert not {"grip_drift", "grip_patch", "battery_sag"} & set(possible)
+
+
+# What an earlier drive learnt: inflated with time, joined with a drive or given up.
+LEARNT = {"steer_bias": (0.004, 4e-4), "speed_gain": (0.979, 0.001)}
+
+
+def test_what_was_learnt_widens_each_day_until_the_car_file_says_as_much(learner):
+    augmented = learner.augmented
+
+    def remembered(values, days):
+        return tracking.remember(augmented, tracking.Memory(values, days))
+
+    space = make_space(augmented, ("steer_bias",))
+    place, row = (n.index("steer_bias") for n in (space.chart.free, space.chart.names))
+    before = abs(space.chart.slopes(space.centre)[row, place]) * space.spread[place]
+    for days in (0.0, 1.0, 4.0, 20.0):
+        ((value, sd),) = remembered({"steer_bias": (0.004, 4e-4)}, days).values()
+        assert value == 0.004
+        assert sd**2 == pytest.approx(4e-4**2 + 0.01 * days * before**2)
+    assert remembered(LEARNT, 26.0) == {}
+    assert remembered(LEARNT, -0.01) == remembered(LEARNT, 0.0)
+    lengths = {"lf": (0.17, 1e-4), "lr": (0.16, 1e-4)}  # and what no car has
+    assert remembered({**lengths, "no.such": (1.0, 0.1)}, 0.0) == {}
+
+
+def test_memory_and_drive_are_joined_unless_the_drive_shows_another_car(reference, track):
+    place, name = reference.space.chart.free.index("steer_lag"), "steer_lag"
+    at = float(reference.space.centre[place])
+    sd = float(np.sqrt(track.covariance[place, place]))
+    joined = tracking.with_memory(reference, track, {name: (at + sd, sd)})
+    assert 0.4 * sd < joined.mean[place] < sd
+    assert np.sqrt(joined.covariance[place, place]) < 0.8 * sd
+    others = [i for i in range(reference.space.nuisance) if i != place]
+    np.testing.assert_array_equal(joined.mean[others], track.mean[others])
+    for size, kept in ((4.0, True), (4.5, False)):
+        joined = tracking.with_memory(reference, track, {name: (at + size * sd, sd)})
+        assert (joined is not track) == kept
+    for nothing in ({}, {"speed_gain": (1.0, 1e-3)}):
+        joined = tracking.with_memory(reference, track, nothing)
+        np.testing.assert_array_equal(joined.information, track.information)
+        np.testing.assert_array_equal(joined.pull, track.pull)
+        np.testing.assert_array_equal(joined.prior, track.prior)
+
+
+@pytest.mark.slow
+def test_a_second_drive_goes_on_from_the_first_unless_it_contradicts_it(learner, drives, learn):
+    samples = drives(27.0)
+    known = learn(learner, samples).known
+    first = {v.name: v for v in values_of(known)}
+    kept = tracking.Memory({n: (v.value, v.sd) for n, v in first.items() if v.identifiable}, 0.0)
+    again = learn(replace(learner, remembered=tracking.remember(learner.augmented, kept)), samples)
+    second = {v.name: v for v in values_of(again.known)}
+    assert second["speed_gain"].identifiable
+    assert second["speed_gain"].sd < first["speed_gain"].sd
+    wrong = tracking.Memory({"speed_gain": (first["speed_gain"].value + 0.06, 1e-3)}, 0.0)
+    cold = learn(replace(learner, remembered=tracking.remember(learner.augmented, wrong)), samples)
+    np.testing.assert_array_equal(cold.known.track.information, known.track.information)

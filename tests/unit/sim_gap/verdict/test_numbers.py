@@ -109,16 +109,14 @@ DOF = 1e9
 
 def _line(values: np.ndarray, z: float) -> SimpleNamespace:
     """Windows that each read one coordinate directly, fitted at `z`; losses are nearly squares."""
-    count = len(values)
+    count, off = len(values), values - z
     at = Reduced(
-        here=(values - z) ** 2, square=(values - z) ** 2,
-        dof=np.full(count, DOF), volume=np.zeros(count),
-        g=(values - z)[:, None], h=np.ones((count, 1, 1)),
-        dx=np.zeros((count, 7)), kx=np.zeros((count, 7, 1)),
+        here=off**2, square=off**2, dof=np.full(count, DOF), volume=np.zeros(count),
+        g=off[:, None], h=np.ones((count, 1, 1)), dx=np.zeros((count, 7)),
+        kx=np.zeros((count, 7, 1)),
     )  # fmt: skip
     space = SimpleNamespace(
-        centre=np.zeros(1), precision=np.array([[1e-12]]),
-        prior_pull=lambda z: -1e-12 * z,
+        centre=np.zeros(1), precision=np.array([[1e-12]]), prior_pull=lambda z: -1e-12 * z,
         low=np.array([-1e9]), high=np.array([1e9]), nuisance=0, effects=("a",),
     )  # fmt: skip
     return SimpleNamespace(space=space, at=at, z=np.array([z]))
@@ -157,9 +155,8 @@ def test_an_interval_of_more_than_half_tells_no_share():
 # When few windows hold most of a gap, they are listed; when it is spread, nothing is said.
 def words(bad, place):
     """The words about 100 windows a second apart of which `bad` have these ratios."""
-    ratios = np.ones(100)
-    ratios[list(bad)] = list(bad.values())
-    names = ["a.mcap" if w < 50 else "b.mcap" for w in range(100)]
+    ratios = np.array([bad.get(w, 1.0) for w in range(100)])
+    names = ["a.mcap"] * 50 + ["b.mcap"] * 50
     return where.moments_words(ratios, names, np.arange(100.0), place)
 
 

@@ -20,54 +20,48 @@ from steerd.car_model.state import ORIGIN, Command
 from steerd.sim_hw.plant.car import COAST, CarSetup, DelayLine, Demand, Drive, SimCar, make_steps
 from steerd.sim_hw.plant.noise import make_noise_source
 
+PLAIN = Model(DEFAULT_CAR)
 
-def make_car(model: Model[float] | None = None, **setup: object) -> SimCar:
-    return SimCar(model or Model(DEFAULT_CAR), CarSetup(**setup), make_noise_source(0, "car"))  # type: ignore[arg-type]
+
+def make_car(model=PLAIN, seed=0, **setup) -> SimCar:
+    return SimCar(model, CarSetup(**setup), make_noise_source(seed, "car"))
+
+
+def drive(car: SimCar, steps: int, demand: Demand) -> float:
+    """Its speed after so many steps with straight wheels."""
+    for _ in range(steps):
+        car.step(0.0, demand)
+    return car.state.speed
 
 
 def test_brake_stops_within_computed_distance_or_grip_and_never_reverses():
     car = make_car(start=ORIGIN._replace(speed=3.0))
-    speeds = []
-    for _ in range(1500):
-        car.step(0.0, Demand(Drive.BRAKE, 3.4))
-        speeds.append(car.state.speed)
+    speeds = [drive(car, 1, Demand(Drive.BRAKE, 3.4)) for _ in range(1500)]
     assert (min(speeds), speeds[-1]) == (0.0, 0.0)
     assert car.state.x == pytest.approx(3.0**2 / 2 / (3.4 + 0.6), rel=0.01)
     car = make_car(Model(DEFAULT_CAR._replace(mu=0.2)), start=ORIGIN._replace(speed=3.0))
-    car.step(0.0, Demand(Drive.BRAKE, 50.0))
+    drive(car, 1, Demand(Drive.BRAKE, 50.0))
     assert car.accel_x == pytest.approx(-0.2 * 9.81, rel=1e-6)
 
 
 def test_coasting_loses_speed_to_drag_alone_which_a_force_must_exceed_to_move_a_car_at_rest():
     car = make_car(start=ORIGIN._replace(speed=1.0))
-    for _ in range(500):
-        car.step(0.0, COAST)
-    assert car.state.speed == pytest.approx(1.0 - 0.6, abs=1e-9)
+    assert drive(car, 500, COAST) == pytest.approx(1.0 - 0.6, abs=1e-9)
     car = make_car()
-    for _ in range(200):
-        car.step(0.0, Demand(Drive.FORCE, 0.5))
-    assert car.state.speed == 0.0
-    for _ in range(200):
-        car.step(0.0, Demand(Drive.FORCE, -1.6))
-    assert car.state.speed == pytest.approx(-0.4, rel=0.02)
+    assert drive(car, 200, Demand(Drive.FORCE, 0.5)) == 0.0
+    assert drive(car, 200, Demand(Drive.FORCE, -1.6)) == pytest.approx(-0.4, rel=0.02)
 
 
 def test_brake_holds_on_a_slope_where_coasting_rolls():
-    slope = EFFECTS["floor_slope"]
-    model = Model(DEFAULT_CAR, (slope,), ((-0.15, 0.0, 0.0),))
-    braked, free = make_car(model), make_car(model)
-    for _ in range(500):
-        braked.step(0.0, Demand(Drive.BRAKE, 3.4))
-        free.step(0.0, COAST)
-    assert braked.state.speed == 0.0
-    assert abs(free.state.speed) > 0.3
+    model = Model(DEFAULT_CAR, (EFFECTS["floor_slope"],), ((-0.15, 0.0, 0.0),))
+    assert drive(make_car(model), 500, Demand(Drive.BRAKE, 3.4)) == 0.0
+    assert abs(drive(make_car(model), 500, COAST)) > 0.3
 
 
 def test_history_interpolates_and_pose_delay_looks_back():
     model = Model(DEFAULT_CAR._replace(pose_delay=0.1))
     car = make_car(model, start=ORIGIN._replace(speed=1.0))
-    for _ in range(200):
-        car.step(0.0, Demand(Drive.SPEED, 1.0))
+    drive(car, 200, Demand(Drive.SPEED, 1.0))
     between = car.state_at(car.t_ns - 3_000_000)
     assert between.x == pytest.approx(car.state.x - 0.003, abs=1e-9)
     assert car.observe_pose(car.t_ns).x == pytest.approx(car.state.x - 0.1, abs=1e-9)
@@ -76,22 +70,19 @@ def test_history_interpolates_and_pose_delay_looks_back():
 
 def test_process_noise_is_seeded_and_leaves_a_resting_car_alone():
     def end(seed: int, speed: float) -> object:
-        setup = CarSetup(process_noise=(0.1, 0.5, 0.1), start=ORIGIN._replace(speed=speed))
-        car = SimCar(Model(DEFAULT_CAR), setup, make_noise_source(seed, "car"))
-        for _ in range(100):
-            car.step(0.0, COAST if not speed else Demand(Drive.SPEED, speed))
+        begun = ORIGIN._replace(speed=speed)
+        car = make_car(seed=seed, process_noise=(0.1, 0.5, 0.1), start=begun)
+        drive(car, 100, COAST if not speed else Demand(Drive.SPEED, speed))
         return car.state
 
     assert end(1, 1.0) == end(1, 1.0) != end(2, 1.0)
     assert end(1, 0.0) == ORIGIN
 
 
-@given(
-    delay=st.integers(0, 7_000_000),
-    changes=st.lists(
-        st.tuples(st.integers(1, 3_000_000), st.floats(-5, 5)), min_size=1, max_size=30
-    ),
-)
+CHANGES = st.lists(st.tuples(st.integers(1, 3_000_000), st.floats(-5, 5)), min_size=1, max_size=30)
+
+
+@given(delay=st.integers(0, 7_000_000), changes=CHANGES)
 @settings(deadline=None, derandomize=True)
 def test_delay_line_keeps_the_area_of_the_signal(delay, changes):
     line = DelayLine(delay, 0.0)

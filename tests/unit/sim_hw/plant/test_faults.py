@@ -4,6 +4,7 @@ Those that stop a car are shown by their cells of the matrix (`tests/safety/trac
 spoil a pose by the reason of its rejection (`tests/unit/mocap_link/test_sessions.py`).
 """
 
+import contextlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -25,7 +26,6 @@ from steerd.vesc_link.telemetry import Values
 
 MS = 1_000_000
 ON, OFF = 1000 * MS, 2000 * MS
-MakeHost = Callable[..., Any]
 VERSION = MocapConfig().version
 BESIDE = MocapConfig(bystanders=(Bystander("box", 2, (3, 1, 0)),))
 DRIVING = WorldConfig(start=ORIGIN._replace(speed=1.0), mocap=BESIDE)
@@ -72,88 +72,70 @@ def datagrams(*faults: Fault) -> list[Datagram]:
     return out
 
 
-def frames(*faults: Fault) -> list[tuple[int, Frame]]:
-    return list(decoded(datagrams(*faults)))
+def frames(name: str, **params: Any) -> list[tuple[int, Frame]]:
+    """What comes, and when, while a fault is on for a second."""
+    return list(decoded(datagrams(Fault(name, ON, OFF, **params))))
 
 
 def decoded(messages: list[Datagram]) -> Iterator[tuple[int, Frame]]:
     for message in messages:
-        if message.channel == FOREIGN:
-            continue
-        try:
+        with contextlib.suppress(NatNetError):
             frame = natnet.decode(message.data, VERSION)
-        except NatNetError:
-            continue
-        if isinstance(frame, Frame):
-            yield message.t_ns, frame
+            if isinstance(frame, Frame) and message.channel != FOREIGN:
+                yield message.t_ns, frame
 
 
 def during(run: list[tuple[int, Frame]]) -> list[Frame]:
     return [f for t, f in run if ON + 20 * MS <= t < OFF]
 
 
-def place(frame: Frame, body: int = 0) -> tuple[float, ...]:
-    return frame.rigid_bodies[body].position
-
-
-def yaw(frame: Frame) -> float:
-    _x, _y, z, w = frame.rigid_bodies[0].quaternion
-    return 2.0 * math.atan2(z, w)
-
-
-CLEAN = frames()
+CLEAN = list(decoded(datagrams()))
 
 
 def test_m5_drift_grows_m21_the_clock_steps_and_the_model_changes():
-    held = zip(during(frames(Fault("M5", ON, OFF))), during(CLEAN), strict=True)
-    off = [place(f)[0] - place(clean)[0] for f, clean in held]
+    held = zip(during(frames("M5")), during(CLEAN), strict=True)
+    off = [a.rigid_bodies[0].position[0] - b.rigid_bodies[0].position[0] for a, b in held]
     assert (off[0], off[-1]) == pytest.approx((0.002, 0.1), abs=0.003)
-    for f, clean in zip(during(frames(Fault("M21", ON, OFF))), during(CLEAN), strict=True):
+    for f, clean in zip(during(frames("M21")), during(CLEAN), strict=True):
         assert f.mid_exposure_ticks - clean.mid_exposure_ticks == pytest.approx(10**7, abs=200)
         assert f.transmit_ticks > f.mid_exposure_ticks
-    assert all(f.params & MODEL_CHANGED for f in during(frames(Fault("model_change", ON, OFF))))
+    assert all(f.params & MODEL_CHANGED for f in during(frames("model_change")))
 
 
 def test_signs_that_alternate_do_so_from_frame_to_frame():
-    flipped = [abs(yaw(f)) > 1.5 for f in during(frames(Fault("M7", ON, OFF)))]
-    held = during(frames(Fault("quaternion_sign", ON, OFF)))
-    signs = [f.rigid_bodies[0].quaternion[3] > 0 for f in held]
-    for each in (flipped, signs):
+    turns, signs = ([f.rigid_bodies[0].quaternion[2:] for f in during(frames(name))]
+                    for name in ("M7", "quaternion_sign"))  # fmt: skip
+    flipped = [abs(2.0 * math.atan2(z, w)) > 1.5 for z, w in turns]
+    for each in (flipped, [w > 0 for _, w in signs]):
         assert all(a != b for a, b in pairwise(each))
 
 
 def test_m13_latency_m14_jitter_m15_out_of_order_m16_duplicated():
-    late = [t for t, f in frames(Fault("M13", ON, OFF)) if 120 < f.number < 180]
-    clean = [t for t, f in CLEAN if 120 < f.number < 180]
-    assert {b - a for a, b in zip(clean, late, strict=True)} == {80 * MS}
-    jittery = {f.number: t for t, f in frames(Fault("M14", ON, OFF))}
-    spread = [jittery[f.number] - t for t, f in CLEAN if 120 < f.number < 180]
-    assert 0 <= min(spread) < 5 * MS
-    assert 30 * MS < max(spread) < 40 * MS
-    numbers = [f.number for f in during(frames(Fault("M15", ON, OFF)))]
+    clean = {f.number: t for t, f in CLEAN if 120 < f.number < 180}
+    late, jitter = ([t - clean[f.number] for t, f in frames(name) if f.number in clean]
+                    for name in ("M13", "M14"))  # fmt: skip
+    assert late == [80 * MS] * len(clean)
+    assert len(jitter) == len(clean)
+    assert 0 <= min(jitter) < 5 * MS
+    assert 30 * MS < max(jitter) < 40 * MS
+    numbers, twice = ([f.number for f in during(frames(name))] for name in ("M15", "M16"))
     steps = [b - a for a, b in pairwise(numbers)]
     assert (min(steps), sorted(numbers)) == (-1, list(range(min(numbers), max(numbers) + 1)))
-    twice = [f.number for f in during(frames(Fault("M16", ON, OFF)))]
-    assert [n for i, n in enumerate(twice) if i % 2 == 0] == sorted(set(twice))
+    assert twice[::2] == sorted(set(twice))
 
 
 def test_m17_loss_m18_gap_m22_half_rate():
-    lost = 100 - len(during(frames(Fault("M17", ON, OFF, loss=0.3))))
-    assert 15 < lost < 50
-    gap = frames(Fault("M18", ON, OFF))
-    times = [t for t, _ in gap]
-    assert max(b - a for a, b in pairwise(times)) == pytest.approx(60 * MS, abs=5 * MS)
-    half = [t for t, _ in frames(Fault("M22", ON, OFF)) if ON + 50 * MS < t < OFF]
-    gaps = {round((b - a) / MS) for a, b in pairwise(half)}
-    assert gaps <= {19, 20, 21}
+    assert 15 < 100 - len(during(frames("M17", loss=0.3))) < 50
+    longest = max(b - a for (a, _), (b, _) in pairwise(frames("M18")))
+    assert longest == pytest.approx(60 * MS, abs=5 * MS)
+    half = [t for t, _ in frames("M22") if ON + 50 * MS < t < OFF]
+    assert {round((b - a) / MS) for a, b in pairwise(half)} <= {19, 20, 21}
 
 
 @pytest.mark.parametrize("how", ["truncated", "oversized", "garbage"])
 def test_m19_malformed_datagrams_come_between_good_ones(how):
-    messages = datagrams(Fault("M19", ON, OFF, noise=how))
-    good = {m.data for m in datagrams()}
-    bad = [m for m in messages if m.data not in good]
-    assert len(bad) > 90
+    messages, good = datagrams(Fault("M19", ON, OFF, noise=how)), {m.data for m in datagrams()}
+    assert sum(m.data not in good for m in messages) > 90
     assert len(during(list(decoded(messages)))) >= 90
 
 
@@ -191,7 +173,7 @@ def test_half_open_tcp_is_silent_for_those_connected_before():
 
 # --- serial
 @pytest.fixture
-def faulty(make_host: MakeHost) -> Callable[..., Any]:
+def faulty(make_host) -> Callable[..., Any]:
     """A host that has driven at 1 m/s until the fault begins."""
 
     def make(name: str, **params: Any) -> Any:
@@ -242,8 +224,7 @@ def test_v11_false_long_header_comes_once_v24_appconf_without_timeout(faulty):
 
 
 def test_v20_speed_sticks_and_v22_servo_stays(faulty):
-    host = faulty("V20")
-    readings = set()
+    host, readings = faulty("V20"), set()
     for _ in range(10):
         host.hold(50, c.SetErpm(3 * 4614))
         readings.add(host.values().erpm)

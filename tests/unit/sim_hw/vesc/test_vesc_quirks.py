@@ -2,8 +2,6 @@
 
 import itertools
 import math
-from collections.abc import Callable
-from typing import Any
 
 import pytest
 
@@ -17,12 +15,12 @@ from steerd.vesc_link.scaling import F1TENTH, servo_pos_to_steer
 from steerd.vesc_link.telemetry import UPTIME_MASK, Values, has_chip
 
 MS = 1_000_000
-MakeHost = Callable[..., Any]
 ROLLING = WorldConfig(start=ORIGIN._replace(speed=2.0))
 ERPM_1 = 4614.0
 
 host = pytest.fixture(lambda make_host: make_host())
 rolling = pytest.fixture(lambda make_host: make_host(config=ROLLING))
+old = pytest.fixture(lambda make_host: make_host(config=ROLLING, firmware=ids.FW_5_02))
 
 
 def test_reply_comes_as_one_byte_then_the_rest(make_host):
@@ -47,14 +45,11 @@ def test_averages_restart_on_every_read_and_two_pollers_steal(host):
     assert only_voltage.motor_current is None
 
 
-def test_timeout_with_brake_current_zero_coasts(make_host):
+def test_timeout_with_brake_current_zero_coasts_and_a_timeout_of_zero_never_strikes(make_host):
     host = make_host(timeout_ms=150, timeout_brake_current=0.0)
     host.hold(1500, c.SetErpm(2 * ERPM_1))
     host.run(1160)
     assert host.speed == pytest.approx(2.0 - 0.6, abs=0.1)
-
-
-def test_timeout_zero_never_strikes(make_host):
     host = make_host(timeout_ms=0)
     host.send(c.SetErpm(2 * ERPM_1))
     host.run(5000)
@@ -92,23 +87,18 @@ def test_servo_samples_at_50_hz(make_host):
     assert {b - a for a, b in itertools.pairwise(changes)} == {4}
 
 
-def test_speed_ramp_is_25000_erpm_per_second_from_the_actual_speed(rolling):
-    rolling.send(c.SetErpm(5 * ERPM_1))
-    rolling.run(40)
-    assert rolling.world.vesc.motor.ramped == pytest.approx(2 * ERPM_1 + 1000, abs=60)
+def test_speed_ramp_is_25000_erpm_per_second_from_the_actual_speed_and_none_before_5_03(
+    rolling, old
+):
+    for host, ms, ramped in ((rolling, 40, 2 * ERPM_1 + 1000), (old, 2, 5 * ERPM_1)):
+        host.send(c.SetErpm(5 * ERPM_1))
+        host.run(ms)
+        assert host.world.vesc.motor.ramped == pytest.approx(ramped, abs=60 * (host is rolling))
 
 
-def test_firmware_before_5_03_has_no_ramp(make_host):
-    host = make_host(config=ROLLING, firmware=ids.FW_5_02)
-    host.send(c.SetErpm(5 * ERPM_1))
-    host.run(2)
-    assert host.world.vesc.motor.ramped == 5 * ERPM_1
-
-
-def test_setpoints_below_900_erpm_coast(make_host):
-    host = make_host(config=ROLLING, firmware=ids.FW_5_02)
-    host.hold(500, c.SetErpm(899))
-    assert host.speed == pytest.approx(2.0 - 0.5 * 0.6, abs=0.02)
+def test_setpoints_below_900_erpm_coast(old):
+    old.hold(500, c.SetErpm(899))
+    assert old.speed == pytest.approx(2.0 - 0.5 * 0.6, abs=0.02)
 
 
 def test_set_rpm_0_brakes_along_the_ramp_and_then_coasts(rolling):

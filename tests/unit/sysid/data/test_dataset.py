@@ -26,10 +26,10 @@ def _make(t, steer, speed, pose, pose_t=None):
 
 
 def test_a_pose_that_a_moved_clock_puts_before_the_last_is_left_out():
-    t, steer, speed, pose = _good()
+    t, *signals = _good()
     stalled = t.copy()
     stalled[200] = t[199] - 65e-6
-    run = _make(t, steer, speed, pose, stalled)
+    run = _make(t, *signals, stalled)
     assert len(run.pose.t) == len(t) - 1
     assert (np.diff(run.pose.t) > 0.0).all()
 
@@ -59,12 +59,11 @@ def test_bad_drives_are_refused(spoil, reason):
     assert caught.value.hint
 
 
+GAPS = st.lists(st.floats(0.001, 0.5), min_size=1, max_size=20)
+
+
 @settings(derandomize=True, deadline=None, max_examples=60)
-@given(
-    st.lists(st.floats(0.001, 0.5), min_size=1, max_size=20),
-    st.integers(0, 1000),
-    st.floats(0.003, 0.3),
-)
+@given(GAPS, st.integers(0, 1000), st.floats(0.003, 0.3))
 def test_means_keep_the_area_under_a_held_signal(gaps, seed, h):
     t = np.cumsum([0.0, *gaps])
     values = np.random.default_rng(seed).normal(size=len(t))
@@ -142,28 +141,25 @@ def test_sharp_poses_give_a_speed_without_commands_better_than_a_wheel(blur, sou
 def imported(speed, rate, blur=0.0, seconds=20.0):
     """A log without speed commands of a car that goes along x, `speed` over times [s]."""
     t = np.arange(0.0, seconds, 1.0 / rate)
-    noise = blur * np.random.default_rng(4).normal(size=(len(t), 2))
     x = np.concatenate([[0.0], np.cumsum(speed(t[:-1]))]) / rate
     pose = np.column_stack([x, 0.0 * t, 0.0 * t])
-    pose[:, :2] += noise
+    pose[:, :2] += blur * np.random.default_rng(4).normal(size=(len(t), 2))
     return make_run("log", Signal(t, 0.1 * np.sin(t)), None, Signal(t, pose))
 
 
-@pytest.fixture
-def drive():
-    return imported(lambda t: np.where(t < 4.0, 0.0, 1.0), 100.0, seconds=26.0)
+drive = pytest.fixture(lambda: imported(lambda t: np.where(t < 4.0, 0.0, 1.0), 100.0, seconds=26.0))
 
 
 def test_windows_of_blocks_and_what_is_kept_back_keep_the_time_of_the_drive(drive):
     parts = segments.moving_segments([drive])
-    whole, yaw = make_layout(parts, 1.0).t, make_layout(segments.make_blocks(parts), 1.0).t
+    blocks = segments.make_blocks(parts)
+    whole, yaw = make_layout(parts, 1.0).t, make_layout(blocks, 1.0).t
     assert whole[0] == pytest.approx(yaw[0])
     assert np.ptp(yaw) > 18.0
     assert np.all(np.diff(yaw) > 0.5)
     assert yaw[0] == pytest.approx(parts[0].start + HISTORY, abs=0.02)
-    fitted, kept = segments.hold_out(segments.moving_segments([drive]), 3)
+    fitted, kept = segments.hold_out(parts, 3)
     starts = sorted(run.start for run in (*fitted, *kept))
-    blocks = segments.make_blocks(segments.moving_segments([drive]))
     assert starts == sorted(run.start for run in blocks)
     poses = [{tuple(p) for b in group for p in b.pose.values} for group in (fitted, kept)]
     assert not poses[0] & poses[1]
@@ -221,19 +217,15 @@ def test_stretches_from_little_more_than_a_second_on_are_used(length):
     run = imported(lambda t: np.where(t % 4.0 < length, 1.0, 0.0), 50.0)
     parts = segments.moving_segments([run])
     assert len(parts) == 5
-    lengths = [part.pose.t[-1] - part.pose.t[0] for part in parts]
-    assert min(lengths) > segments.DURATION_MIN - 0.1
+    assert min(np.ptp(part.pose.t) for part in parts) > segments.DURATION_MIN - 0.1
     assert len(make_layout(parts, 1.0).t) >= 5
 
 
-def test_shorter_ones_are_counted():
+def test_shorter_ones_are_counted_and_a_centimetre_of_noise_does_not_chop_a_drive():
     run = imported(lambda t: np.where((t > 10.0) & (t % 4.0 > 0.9), 0.0, 1.0), 50.0)
     (text,) = segments.describe_unused([run])
     assert "2 stretches of driving shorter than 1.2 s" in text
-
-
-def test_a_centimetre_of_noise_does_not_chop_a_drive():
     run = imported(lambda t: 0.6 + 0.0 * t, 100.0, blur=0.01)
     assert np.std(pose_speed(run.pose).values) < 0.2
     (part,) = segments.moving_segments([run])
-    assert part.pose.t[-1] - part.pose.t[0] > 18.0
+    assert np.ptp(part.pose.t) > 18.0

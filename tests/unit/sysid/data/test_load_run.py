@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from steerd.car_model.effects import find_effect
@@ -17,7 +16,7 @@ from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.session_read import open_session
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, Topic, make_session_topic
 from steerd.sysid.data.data_checks import DataError
-from steerd.sysid.data.dataset import Run, Signal, make_run, read_run
+from steerd.sysid.data.dataset import Signal, make_run, read_run
 from steerd.sysid.data.jitter_correction import correct_log_jitter, find_log_jitter, log_period
 from steerd.sysid.data.windows import _remembered
 
@@ -89,20 +88,15 @@ def wheel_after(steering, play, wheel):
 
 
 @settings(deadline=None)
-@given(
-    seed=st.integers(0, 2**32), step=st.floats(1e-4, 0.1), play=st.floats(0.0, 0.15),
-    side=st.floats(-1.0, 1.0),
-)  # fmt: skip
+@given(st.integers(0, 2**32), st.floats(1e-4, 0.1), st.floats(0.0, 0.15), st.floats(-1.0, 1.0))
 def test_nothing_before_it_changes_where_the_wheel_is(seed, step, play, side):
     steering = np.cumsum(step * np.random.default_rng(seed).normal(size=600))
-    a = 599
-    steps = _remembered(steering, a, LEAST, MOST)
+    steps = _remembered(steering, 599, LEAST, MOST)
     assert LEAST <= steps <= MOST
-    if steps == MOST:
-        return
-    past = steering[a - steps : a + 1]
-    start = steering[a - steps] + 0.5 * play * side
-    assert wheel_after(past, play, start) == wheel_after(steering, play, steering[0])
+    if steps < MOST:
+        past = steering[599 - steps :]
+        start = past[0] + 0.5 * play * side
+        assert wheel_after(past, play, start) == wheel_after(steering, play, steering[0])
 
 
 def test_a_stick_that_rests_is_given_the_whole_past():
@@ -112,12 +106,10 @@ def test_a_stick_that_rests_is_given_the_whole_past():
 
 
 # The log jitter of two timers is found in a drive and corrected; other logs stay as they are.
-Array = NDArray[np.float64]
-
 SECONDS, SPEED, LENGTH, LAG = 60.0, 1.5, 0.3, 0.06
 
 
-def _drive(wait: float, drift: float) -> tuple[Run, Array, Array]:
+def _drive(wait: float, drift: float):
     """Steering at 10 Hz, logged `wait` [s] late, then `drift` [s/s] more; times sent and logged."""
     rng = np.random.default_rng(3)
     left = 0.1 * np.arange(SECONDS / 0.1)
@@ -137,9 +129,8 @@ def test_a_drifting_delay_is_found_and_corrected() -> None:
     run, left, logged = _drive(0.03, 0.002)
     jitter = find_log_jitter(run)
     assert jitter.period == pytest.approx(0.1, abs=2e-3)
-    true = (logged - left)[1:-1]
     found = jitter.delay(logged[1:-1] - logged[0])
-    off = (found - true + 0.05) % 0.1 - 0.05
+    off = (found - (logged - left)[1:-1] + 0.05) % 0.1 - 0.05
     off -= np.median(off)  # a common delay is a dead time: the fit finds it
     assert np.sqrt(np.mean(off**2)) < 0.012
     assert jitter.describe().startswith("drive: steering stored 0 to 100 ms late (")

@@ -13,6 +13,7 @@ from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.paper import NAMES as TYRES
 
 FRAME = 0.02
+FIRST = np.array([0.0, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0])  # the state at a drive's begin
 
 
 def _commanded(steer, speed=None, **more):
@@ -35,11 +36,9 @@ def test_every_second_command_is_never_seen(phase, seen):
 
 
 def test_a_ramp_keeps_its_mean_time():
-    ramp = 0.001 * np.arange(200)
-    run = _commanded(ramp)
-    middle = slice(40, 360)
-    early = [latch(run, p).commands[middle, 0] - run.commands[middle, 0] for p in (0.005, 0.015)]
-    for off in early:
+    run = _commanded(0.001 * np.arange(200))
+    for phase in (0.005, 0.015):
+        off = (latch(run, phase).commands - run.commands)[40:360, 0]
         assert np.mean(off) == pytest.approx(0.0, abs=1e-9)
 
 
@@ -50,8 +49,7 @@ def test_the_phase_is_found_and_the_car_behind_it(make_drive, simulated, phase):
     steer = Signal(plan.h * np.arange(0, len(plan.commands), 2), plan.commands[::2, 0])
     asked = replace(plan, steer=steer, servo_frame=FRAME)
     driven = latch(asked, phase).commands
-    first = np.array([0.0, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0])
-    seen = simulated(Model(truth), driven, first, 3)
+    seen = simulated(Model(truth), driven, FIRST, 3)
     held = np.column_stack([np.repeat(steer.values, 2)[: len(driven)], driven[:, 1]])
     run = replace(seen, commands=held, steer=steer, servo_frame=FRAME)
     free = (*TYRES, "inertia_z", "steer_delay")
@@ -108,8 +106,7 @@ def test_it_is_told_whether_a_drive_had_the_ramp(make_drive, simulated, had):
     held = np.column_stack([steer, np.repeat(asked.values, 2)])
     sent = replace(plan, commands=held, speed_command=asked, speed_ramp=RATE, servo_frame=0.0)
     driven = ramped(sent).commands if had else sent.commands
-    first = np.array([0.0, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0])
-    seen = simulated(Model(DEFAULT_CAR), driven, first, 5)
+    seen = simulated(Model(DEFAULT_CAR), driven, FIRST, 5)
     run = replace(seen, commands=sent.commands, speed_command=asked, speed_ramp=RATE)
     free = ("lf", "lr", "c_sf", "c_sr", "speed_lag")
     outcome = learn(Task((run,), Model(DEFAULT_CAR), free=free), lambda: 0.0)

@@ -225,9 +225,7 @@ def test_a_car_that_misses_much_is_said_to(make_drive, truth):
 
 def test_only_play_needs_a_long_past_and_is_asked_of_drives_that_rest(bent):
     turning = replace(bent, commands=bent.commands + np.arange(len(bent.commands))[:, None] * 0.01)
-    for run, effects, longer in (
-        (turning, (PLAY,), True), (bent, (), True), (turning, (), False),
-    ):  # fmt: skip
+    for run, effects, longer in ((turning, (PLAY,), True), (bent, (), True), (turning, (), False)):
         model = Model(DEFAULT_CAR, effects, ((0.02,),) * len(effects))
         (found,) = prep.add_command_history([run], model)
         assert (found.history > run.history) == longer

@@ -52,8 +52,8 @@ def test_the_wheelbase_follows_from_the_curvature(length, seed):
 def test_a_stated_wheelbase_stays_and_the_curvature_gives_the_steerings_unit(length):
     scale = length / wheelbase(DEFAULT_CAR)
     car = DEFAULT_CAR._replace(lf=DEFAULT_CAR.lf * scale, lr=DEFAULT_CAR.lr * scale)
-    known = Stated(wheelbase=True)
-    start = prep.possible_starts(Model(car), [drive(length, 3, unit=0.5)], known)[0]
+    drives, known = [drive(length, 3, unit=0.5)], Stated(wheelbase=True)
+    start = prep.possible_starts(Model(car), drives, known)[0]
     assert (start.car.lf, start.car.lr) == (car.lf, car.lr)
     assert start.car.steer_gain == pytest.approx(0.5, rel=0.1)
 
@@ -69,10 +69,9 @@ def test_commands_that_no_wheel_follows_have_a_unit_of_their_own(length):
 
 
 def test_what_is_held_stays():
-    run = drive(0.33, 5, unit=0.5)
-    held = Stated(wheelbase=True, held=("steer_gain",))
-    assert prep.possible_starts(MODEL, [run], held) == (MODEL,)
-    start = prep.possible_starts(MODEL, [run], Stated(held=("steer_gain",)))[0]
+    run, held = drive(0.33, 5, unit=0.5), Stated(held=("steer_gain",))
+    assert prep.possible_starts(MODEL, [run], held._replace(wheelbase=True)) == (MODEL,)
+    start = prep.possible_starts(MODEL, [run], held)[0]
     assert start.car.steer_gain == MODEL.car.steer_gain
 
 
@@ -150,8 +149,8 @@ def _run(steer=0.3, speed=True, servo_frame=0.0, shape=np.sin):
 
 
 def test_inertia_follows_mass_and_length_squared_and_loads_no_measured_speed():
-    lengths = {name: getattr(DEFAULT_CAR, name) / 2 for name in ("lf", "lr", "mass")}
-    half = MODEL._replace(car=DEFAULT_CAR._replace(**lengths))
+    halved = {name: getattr(DEFAULT_CAR, name) / 2 for name in ("lf", "lr", "mass")}
+    half = Model(DEFAULT_CAR._replace(**halved))
     assert prep.scale_inertia(half, MODEL).car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z / 8)
     assert prep.scale_inertia(MODEL, MODEL) == MODEL
     assert prep.level_loads(MODEL, [_run(speed=False)]).car.cog_height == 0.0

@@ -64,14 +64,11 @@ def test_nothing_is_free_twice(likelihood, names):
     assert set(library.space(()).chart.free) == set(FLOORS)
 
 
-def test_an_effect_that_the_base_has_is_freed_once(likelihood):
+def test_an_effect_that_the_base_has_is_freed_once_and_one_in_place_of_all_is_looked_at(likelihood):
     library = Library(likelihood, ("lf", "steer_nonlinearity.cubic"), ())
     free = library.space(("steer_nonlinearity",)).chart.free
     assert sorted(set(free)) == sorted(free)
     assert "lf" in free
-
-
-def test_an_effect_that_stands_for_every_free_parameter_is_looked_at(likelihood):
     library = Library(likelihood, ("steer_gain",), (EFFECTS["steer_gain"],))
     (look,) = screen_effects(library, begin(library, (), (), likelihood.predictor.guess))
     assert np.isfinite(look.cost)
@@ -149,13 +146,19 @@ def test_no_hypothesis_is_worse_than_one_nested_in_it_and_probabilities_are_a_po
     assert found.untested == ()
 
 
-def test_the_hidden_effect_is_named_and_no_second_invented(late):
-    library, found = late
-    assert found.best.effects == ("steer_delay",)
-    assert found.probability("steer_delay") > 0.95
-    assert found.best.point.size < c.GAP_SIZE < found.start.size
-    place = library.likelihood.predictor.augmented.places("steer_delay")
-    assert found.best.point.parameters[place] == pytest.approx(0.03, abs=0.003)
+@pytest.mark.parametrize(("case", "hidden"), [
+    ("late", {"steer_delay": (0.03, 0.003)}),
+    ("both", {"steer_delay": (0.04, 0.004), "speed_scale": (0.93, 0.01)}),
+])  # fmt: skip
+def test_hidden_effects_are_named_and_none_is_invented(case, hidden, request):
+    library, found = request.getfixturevalue(case)
+    assert set(found.best.effects) == set(hidden)
+    for name, (value, near) in hidden.items():
+        place = library.likelihood.predictor.augmented.places(name)
+        assert found.best.point.parameters[place] == pytest.approx(value, abs=near)
+    if case == "late":
+        assert found.probability("steer_delay") > 0.95
+        assert found.best.point.size < c.GAP_SIZE < found.start.size
 
 
 def test_where_an_effect_leaves_no_gap_none_clearly_behind_it_is_searched(late, monkeypatch):
@@ -164,15 +167,6 @@ def test_where_an_effect_leaves_no_gap_none_clearly_behind_it_is_searched(late, 
     patient = explain(library)
     assert patient.best.effects == found.best.effects
     assert len(patient.hypotheses) > len(found.hypotheses)
-
-
-def test_two_hidden_effects_are_both_named(both):
-    library, found = both
-    assert set(found.best.effects) == {"steer_delay", "speed_scale"}
-    values = found.best.point.parameters
-    places = library.likelihood.predictor.augmented.places
-    assert values[places("steer_delay")] == pytest.approx(0.04, abs=0.004)
-    assert values[places("speed_scale")] == pytest.approx(0.93, abs=0.01)
 
 
 def test_two_causes_are_tried_where_neither_alone_outweighs_none(both, monkeypatch):
@@ -191,20 +185,14 @@ def test_of_a_healthy_drive_the_base_alone_is_the_likeliest(fine):
     assert found.null.point.size < c.GAP_SIZE
 
 
-def test_an_effect_costs_its_share_of_the_library(late):
+@pytest.mark.parametrize(("case", "more"), [("late", 1.0), ("both", c.FURTHER_ODDS)])
+def test_an_effect_costs_its_share_of_the_library_and_a_second_ten_times_more(case, more, request):
     """Odds are the tempered evidence, less what a name costs before any data."""
-    library, found = late
-    best = found.best
-    evidence = posterior_of(best.point, temper_of(library, found)).evidence
-    assert best.log_odds == pytest.approx(evidence - np.log(len(LOOKED_AT) / c.GAP_ODDS), abs=1e-3)
-
-
-def test_a_second_effect_costs_ten_times_more(both):
-    library, found = both
-    best = found.best
-    price = 2.0 * np.log(len(LOOKED_AT)) + np.log(c.FURTHER_ODDS / c.GAP_ODDS)
-    [alone] = rank(library, [best.point])
-    evidence = posterior_of(best.point, library.design_effect(best.point.size)).evidence
+    library, found = request.getfixturevalue(case)
+    point = found.best.point
+    price = len(found.best.effects) * np.log(len(LOOKED_AT)) + np.log(more / c.GAP_ODDS)
+    [alone] = rank(library, [point])
+    evidence = posterior_of(point, library.design_effect(point.size)).evidence
     assert alone.log_odds == pytest.approx(evidence - price, abs=1e-3)
 
 
@@ -325,7 +313,7 @@ def test_a_look_loses_no_more_than_its_effect_gained_in_healthy_drives(late):
     for seconds in (0.0, 0.03):
         known = _with_controls(library, _late_by(seconds, gain=0.01))
         screened = screen_effects(known, found.start)
-        looks.append(next(look for look in screened if look.effect == "steer_delay").gain)
+        looks += [look.gain for look in screened if look.effect == "steer_delay"]
     most = c.SHOWN_MOST * 0.01 * len(found.start.at.dof) * known.design_effect(found.start.size)
     assert looks[0] - looks[1] == pytest.approx(most)
 
@@ -335,11 +323,9 @@ def test_two_causes_are_worth_the_same_whatever_little_one_of_them_is_alone(both
     controls = (Control(n, np.zeros(1), np.eye(1) * 1e-6, 0.1) for n in found.best.effects)
     library = _with_controls(library, *controls)
     guess = library.likelihood.predictor.guess
-    alone = [minimise(library.likelihood, begin(library, (n,), (0.0,), guess))
-             for n in found.best.effects]  # fmt: skip
-    weak = max(alone, key=lambda point: point.cost)
-    points = [found.null.point, *alone, found.best.point]
-    with_weak = rank(library, points)[0]
-    without = rank(library, [point for point in points if point is not weak])[0]
+    begun = [begin(library, (name,), (0.0,), guess) for name in found.best.effects]
+    strong, weak = sorted((minimise(library.likelihood, b) for b in begun), key=lambda p: p.cost)
+    points = [found.null.point, strong, found.best.point]
+    with_weak, without = (rank(library, each)[0] for each in ([*points, weak], points))
     assert with_weak.effects == without.effects == found.best.effects
     assert with_weak.log_odds == pytest.approx(without.log_odds, abs=1e-6)

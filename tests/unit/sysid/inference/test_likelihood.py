@@ -34,9 +34,8 @@ def linear(likelihood, small):
 @pytest.fixture(scope="module")
 def x(healthy):
     """Starts away from their first guesses: their prior counts."""
-    rng = np.random.default_rng(3)
-    guess = healthy.guess
-    return guess + 0.3 * healthy.start_spread * rng.standard_normal(guess.shape)
+    away = np.random.default_rng(3).standard_normal(healthy.guess.shape)
+    return healthy.guess + 0.3 * healthy.start_spread * away
 
 
 def test_a_window_that_spins_beyond_all_bounds_tells_no_noise(healthy, linear):
@@ -134,9 +133,9 @@ def test_a_weight_is_the_slope_of_the_loss_and_a_window_that_spins_hardly_pulls(
     found = loss_of(spun.square, spun.dof)[2]
     assert found == pytest.approx(bounded + c.SPUN_SHARE * (usual - bounded))
     for ratio in (0.5, 3.0, 0.9 * c.SPUN, 1.1 * c.SPUN, 50.0 * c.SPUN):
-        square, dof = ratio * at.dof, at.dof
-        step = 1e-4 * square
-        slope = (loss_of(square + step, dof) - loss_of(square - step, dof)) / (2.0 * step)
+        square = ratio * at.dof
+        low, high = (loss_of(share * square, at.dof) for share in (0.9999, 1.0001))
+        slope = (high - low) / (2e-4 * square)
         assert at._replace(square=square).weight == pytest.approx(2.0 * slope, rel=1e-5)
 
 
@@ -146,10 +145,8 @@ def test_the_size_is_that_from_which_errors_were_drawn(likelihood, linear, size)
     rng = np.random.default_rng(11)
     there, guess = likelihood.predictor.padded.there, likelihood.predictor.guess
     own = rng.standard_normal(there.shape) * np.sqrt(1.0 + size**2 * likelihood.spectrum) * there
-    error = np.stack([
-        np.linalg.lstsq(t, e, rcond=None)[0]
-        for t, e in zip(likelihood.rotation, own, strict=True)
-    ])  # fmt: skip
+    pairs = zip(likelihood.rotation, own, strict=True)
+    error = np.stack([np.linalg.lstsq(*pair, rcond=None)[0] for pair in pairs])
     rotated = likelihood.rotate(linear)
     found = likelihood.best_size(rotated, error, guess)
     each = [likelihood.reduce(likelihood.weigh(rotated, s), error, guess) for s in SIZES]

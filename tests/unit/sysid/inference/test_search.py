@@ -62,7 +62,6 @@ def test_no_random_start_ends_lower(late, found, seed):
     start = search.stand(late, space, z, late.predictor.guess, 20.0)
     size = late.best_size(start.rotated, start.linear.error, start.x)
     other = search.minimise(late, search.with_size(late, start, size))
-    assert other.cost > found.cost - 0.5
     assert other.cost == pytest.approx(found.cost, abs=0.5)
 
 
@@ -73,16 +72,13 @@ SMOOTH = ("c_sf", "c_sr", "inertia_z", "steer_lag", "tyre_relaxation.length", "s
 def test_the_cost_falls_as_its_derivatives_say(healthy, likelihood, name):
     """A part of the cost that no derivative sees ends searches off their optimum."""
     space = make_space(healthy.augmented, SMOOTH)
-    x, i, size = healthy.guess, space.chart.free.index(name), 0.1
-    z = np.clip(space.centre, space.low + 1e-3, None)
-    point = search.stand(likelihood, space, z, x, size)
+    i, z = space.chart.free.index(name), np.clip(space.centre, space.low + 1e-3, None)
+    point = search.stand(likelihood, space, z, healthy.guess, 0.1)
     sd = np.linalg.inv(search.curvature(space, point.at))[i, i] ** 0.5
     costs = []
     for step in (0.1 * sd, -0.1 * sd):
-        moved = z.copy()
-        moved[i] += step
-        started = point.x - point.at.kx[:, :, i] * step
-        costs.append(search.stand(likelihood, space, moved, started, size).cost)
+        moved, started = z + step * np.eye(len(z))[i], point.x - point.at.kx[:, :, i] * step
+        costs.append(search.stand(likelihood, space, moved, started, 0.1).cost)
     slope = point.at.weight @ point.at.g + space.prior_pull(z)
     assert (costs[1] - costs[0]) / 0.2 == pytest.approx(sd * slope[i], abs=0.1)
 

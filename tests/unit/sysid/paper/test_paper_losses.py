@@ -11,14 +11,11 @@ from steerd.sysid.paper.paper_method import chamfer, soft_dtw, squared_distances
 
 def _alignments(rows, columns):
     """Every monotone path of index pairs from (0, 0) to the far corner."""
-    if rows == 1 and columns == 1:
+    if rows == columns == 1:
         return [[(0, 0)]]
-    found = []
-    for down, right in ((1, 0), (0, 1), (1, 1)):
-        if rows - down >= 1 and columns - right >= 1:
-            tails = _alignments(rows - down, columns - right)
-            found += [[*path, (rows - 1, columns - 1)] for path in tails]
-    return found
+    before = ((rows - down, columns - right) for down, right in ((1, 0), (0, 1), (1, 1)))
+    paths = (path for at in before if all(at) for path in _alignments(*at))
+    return [[*path, (rows - 1, columns - 1)] for path in paths]
 
 
 def _brute_force(cost, gamma):
