@@ -8,7 +8,9 @@ import os
 import signal
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
+from operator import methodcaller
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,7 @@ from steerd.steer_bus.messages import RequestKind
 from steerd.steer_bus.session_read import open_session
 from tests.safety.judge import Effort, count_drive_frames, find_stop
 from tests.safety.live import BOOT_ID, CLOCK, Live, start_live
-from tests.safety.live_hands import driven_by_another, held_by_gamepad, held_by_page
-from tests.safety.live_terminal import at_terminal
+from tests.safety.live_hands import at_terminal, driven_by_another, held_by_gamepad, held_by_page
 
 MS = 1_000_000
 PHASES = ("P1", "P3", "P5", "P7")
@@ -52,12 +53,10 @@ class LiveOutcome:
     phase: str
     stop_ms: float = -1.0
     reason: str = ""
-    wrong: tuple[str, ...] = field(default=())
+    wrong: tuple[str, ...] = ()
 
 
 def send(process: str, number: signal.Signals, times: int = 1) -> Callable[[Live], int]:
-    """A signal to one of the processes."""
-
     def act(live: Live) -> int:
         pid = live.pids()[process]
         now_ns = CLOCK.now_ns()
@@ -83,11 +82,6 @@ def fall_silent(live: Live) -> int:
     return CLOCK.now_ns()
 
 
-def ask_to_stop(live: Live) -> int:
-    """Whoever drives asks for a stop, or lets go of the deadman."""
-    return live.ask(RequestKind.STOP)
-
-
 def leave(live: Live) -> int:
     """Whoever drives closes the page, or unplugs the gamepad."""
     now_ns = CLOCK.now_ns()
@@ -95,16 +89,8 @@ def leave(live: Live) -> int:
     return now_ns
 
 
-def hardware(fault: str) -> Callable[[Live], int]:
-    """A fault of the simulated hardware."""
-    return lambda live: live.break_it(fault)
-
-
-def options(**more: Any) -> Start:
-    """A run with other options."""
-    return lambda folder: start_live(folder, **more)
-
-
+hardware = partial(methodcaller, "break_it")
+learning = partial(start_live, learn=True)
 STOP, KILL = signal.SIGSTOP, signal.SIGKILL
 OK, STOPPED = ExitCode.OK, ExitCode.STOPPED
 FAULTS = {
@@ -123,13 +109,14 @@ FAULTS = {
     "SIGKILL gateway": LiveFault(send("gateway", KILL), 0.6, named="W27"),
     "SIGSTOP gateway": LiveFault(
         send("gateway", STOP), 1.6, named="W27", watch_s=1.0, code=STOPPED),
-    "SIGKILL learner": LiveFault(send("learner", KILL), None, start=options(learn=True)),
-    "SIGSTOP learner": LiveFault(send("learner", STOP), None, start=options(learn=True)),
+    "SIGKILL learner": LiveFault(send("learner", KILL), None, start=learning),
+    "SIGSTOP learner": LiveFault(send("learner", STOP), None, start=learning),
     "SIGKILL page": LiveFault(send("page", KILL), 1.0, named="W25", start=held_by_page),
     "SIGSTOP page": LiveFault(send("page", STOP), 1.0, named="W25", start=held_by_page),
     "page silent": LiveFault(fall_silent, 0.65, "P5", named="W25", start=held_by_page),
     "page closed": LiveFault(leave, 0.65, "P5", named="W25", start=held_by_page),
-    "gamepad released": LiveFault(ask_to_stop, 0.65, "P5", start=held_by_gamepad),
+    "gamepad released": LiveFault(
+        methodcaller("ask", RequestKind.STOP), 0.65, "P5", start=held_by_gamepad),
     "gamepad unplugged": LiveFault(leave, 0.65, "P5", start=held_by_gamepad, code=OK),
     "gamepad silent": LiveFault(fall_silent, 1.15, "P5", start=held_by_gamepad, code=OK),
     "SIGKILL gamepad": LiveFault(
@@ -152,9 +139,9 @@ FAULTS = {
     "VESC reboots": LiveFault(hardware("V15"), 0.4, "P5", wire=False),
     "kill switch": LiveFault(hardware("V19"), 0.4, "P3 P5"),
     "operator gone": LiveFault(fall_silent, 1.5, "P3 P5"),
-    "stranger's stop": LiveFault(lambda live: live.ask(RequestKind.STOP, STRANGER), 0.3, "P5 P7"),
+    "stranger's stop": LiveFault(methodcaller("ask", RequestKind.STOP, STRANGER), 0.3, "P5 P7"),
     "stranger's e-stop": LiveFault(
-        lambda live: live.ask(RequestKind.ESTOP, STRANGER), 0.3, "P1 P3 P5"),
+        methodcaller("ask", RequestKind.ESTOP, STRANGER), 0.3, "P1 P3 P5"),
 }  # fmt: skip
 CELLS = [(name, phase) for name, fault in FAULTS.items() for phase in fault.phases.split()]
 
