@@ -32,7 +32,6 @@ CHANGES = [
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
-    """A drive in virtual time with an operator's changes."""
     path = tmp_path_factory.mktemp("live") / "drive.mcap"
     record_virtual(make_plan(OPTIONS), path, ask_on_the_way)
     return open_session(path)
