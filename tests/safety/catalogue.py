@@ -45,8 +45,6 @@ def nothing(_rig: Rig) -> None: ...
 
 @dataclass(frozen=True)
 class FaultCase:
-    """One fault."""
-
     code: str  # of `docs/reference/safety-requirements.md#s6`; variants carry a letter
     name: str
     begin: Act  # brings it about, once

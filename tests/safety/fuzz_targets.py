@@ -76,7 +76,6 @@ def cut(script: bytes) -> Iterator[Piece]:
 
 
 def glue(choice: int, *pieces: Piece) -> bytes:
-    """The script of these pieces."""
     parts = [bytes((op,)) + len(body).to_bytes(2, "little") + body for op, body in pieces]
     return bytes((choice,)) + b"".join(parts)
 

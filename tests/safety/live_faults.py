@@ -69,7 +69,6 @@ def send(process: str, number: signal.Signals, times: int = 1) -> Callable[[Live
 
 
 def freeze_core(live: Live) -> int:
-    """The core stands still for 0.4 s."""
     begun_ns = send("core", signal.SIGSTOP)(live)
     live.live(0.4)
     send("core", signal.SIGCONT)(live)
@@ -77,7 +76,6 @@ def freeze_core(live: Live) -> int:
 
 
 def fall_silent(live: Live) -> int:
-    """The operator's keepalives end."""
     live.alive = False
     return CLOCK.now_ns()
 
@@ -172,7 +170,6 @@ def run_live(name: str, phase: str) -> LiveOutcome:
 def judge(
     fault: LiveFault, phase: str, fault_ns: int, frames: list[Any], followed: list[Any]
 ) -> Iterator[str]:
-    """What is wrong with a cell."""
     states = [to for _, to, _ in followed]
     yield from judge_frames(fault, phase, fault_ns, frames, states)
     if SupervisorState.RUNNING in states:
@@ -187,7 +184,6 @@ def judge(
 def judge_frames(
     fault: LiveFault, phase: str, fault_ns: int, frames: list[Any], states: list[SupervisorState]
 ) -> Iterator[str]:
-    """What is wrong with the bytes of a cell."""
     after = [frame for frame in frames if frame.t_ns >= fault_ns]
     if phase not in MOVING:
         if any(frame.effort is Effort.DRIVE for frame in after):

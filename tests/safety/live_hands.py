@@ -30,7 +30,6 @@ QUIET_S = 0.5  # a gamepad that says nothing for so long counts as released
 
 @contextlib.contextmanager
 def held_by_page(folder: Path) -> Iterator[Live]:
-    """A run whose operator sits at the page."""
     with (
         start_live(folder, page=0) as live,
         open_page(live.processes.reports["page"]["url"]) as socket,
@@ -108,7 +107,6 @@ def held_by_gamepad(folder: Path) -> Iterator[Live]:
 
 @contextlib.contextmanager
 def driven_by_another(folder: Path) -> Iterator[Live]:
-    """A run that `steerd control` drives."""
     with start_live(folder, controller=ControllerKind.ZENOH) as live:
         command = [sys.executable, "-m", "steerd", "control", "--connect", live.listen]
         control = subprocess.Popen([*command, "--path", "line", "--speed", "1"])
@@ -192,7 +190,6 @@ def at_terminal(folder: Path) -> Iterator[AtTerminal]:
 
 
 def wait_for_children(live: AtTerminal, family: dict[str, int]) -> None:
-    """Kill the terminal and wait until nothing is left of its run."""
     left = {}
     for name, pid in family.items():
         with contextlib.suppress(ProcessLookupError):

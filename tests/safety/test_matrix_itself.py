@@ -55,10 +55,7 @@ def test_every_motor_command_is_read_for_what_it_does() -> None:
     data = b"".join(encode_frame(struct.pack(">Bi", number, count)) for number, count, _, _ in sent)
     data += encode_frame(b"\x0c\x01\xf4") + encode_frame(b"\x04")
     log = [Logged(7, "vesc", data[:9]), Logged(8, "host", b"\x02\x01"), Logged(9, "vesc", data[9:])]
-    frames = read_motor_frames(log)
-    assert [(f.effort, f.value) for f in frames] == [
-        (effort, value) for _, _, effort, value in sent
-    ]
+    assert [(f.effort, f.value) for f in read_motor_frames(log)] == [each[2:] for each in sent]
 
 
 def test_a_stop_that_is_taken_back_is_none() -> None:
