@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from enum import Enum
 from math import inf, nan
-from operator import attrgetter
+from operator import attrgetter, methodcaller
 from typing import Any
 
 from steerd.car_model.state import Command
@@ -40,14 +40,11 @@ class Must(Enum):
 Act = Callable[[Rig], None]
 
 
-def nothing(_rig: Rig) -> None:
-    """No act."""
+def nothing(_rig: Rig) -> None: ...
 
 
 @dataclass(frozen=True)
 class FaultCase:
-    """One fault."""
-
     code: str  # of `docs/reference/safety-requirements.md#s6`; variants carry a letter
     name: str
     begin: Act  # brings it about, once
@@ -70,14 +67,7 @@ class FaultCase:
     within_m: float = inf  # how far it may get from where it was
 
 
-def hardware(fault: str, **params: Any) -> Act:
-    """A fault of the simulated hardware."""
-    return lambda rig: rig.break_it(fault, **params)
-
-
 def raise_flag(flag: Flag) -> Act:
-    """What the runner saw by itself."""
-
     def act(rig: Rig) -> None:
         rig.run.core.flags |= flag
 
@@ -94,7 +84,8 @@ def _of_hardware(
     of_case = {each.name for each in fields(FaultCase)}
     params = {key: value for key, value in more.items() if key not in of_case}
     rest = {key: value for key, value in more.items() if key in of_case}
-    return FaultCase(code, name, hardware(fault or code, **params), must, bound_s, **rest)
+    act = methodcaller("break_it", fault or code, **params)
+    return FaultCase(code, name, act, must, bound_s, **rest)
 
 
 def _mocap() -> tuple[FaultCase, ...]:
@@ -182,16 +173,12 @@ def _vesc() -> tuple[FaultCase, ...]:
     )  # fmt: skip
 
 
-class BoomError(RuntimeError):
-    """What a broken controller raises."""
-
-
 def _raise(*_: object) -> Any:
-    raise BoomError("injected")
+    raise RuntimeError("injected")
 
 
 def _strand(rig: Rig) -> None:
-    rig.run.core.latch_exception(BoomError("injected"))
+    rig.run.core.latch_exception(RuntimeError("injected"))
 
 
 def _break(part: str, method: str) -> Act:
@@ -199,15 +186,8 @@ def _break(part: str, method: str) -> Act:
     return lambda rig: setattr(attrgetter(part)(rig.run.core), method, _raise)
 
 
-def _give_nan(rig: Rig) -> None:
-    car.wish_for(rig, lambda _: Command(nan, nan))
-
-
 def _late(ms: float) -> Act:
-    def act(rig: Rig) -> None:
-        rig.late_ns = round(ms * MS)
-
-    return act
+    return lambda rig: setattr(rig, "late_ns", round(ms * MS))
 
 
 def _inside(*args: Any, **more: Any) -> FaultCase:
@@ -239,7 +219,8 @@ def _host() -> tuple[FaultCase, ...]:
             cold="red"),
         _inside("H13e", "exception at a pose", _break("loop.perception", "on_pose"), HARD,
             2 * FRAME, cold="red"),
-        _inside("H14", "NaN from the controller", _give_nan, HARD, cold="launch"),
+        _inside("H14", "NaN from the controller",
+            lambda rig: car.wish_for(rig, lambda _: Command(nan, nan)), HARD, cold="launch"),
         _inside("H17", "suspended", raise_flag(Flag.SUSPENDED), HARD),
     )  # fmt: skip
 
@@ -251,13 +232,10 @@ def _foreign_drive(rig: Rig) -> None:
         rig.deliver(encode(command), topics.DRIVE.name)
 
 
-def _asked() -> bytes:
-    header = make_header(0, BODY)
-    return encode(OperatorRequest(header, BOOT_ID, LEASE_ID, 1 << 30, RequestKind.START, "x"))
-
-
 def _malformed(rig: Rig) -> None:
-    for data in (b"", b"\0" * 7, b"\xff" * 300, _asked()[:-1], _asked() + b"xxxx"):
+    header, kind = make_header(0, BODY), RequestKind.START
+    asked = encode(OperatorRequest(header, BOOT_ID, LEASE_ID, 1 << 30, kind, "x"))
+    for data in (b"", b"\0" * 7, b"\xff" * 300, asked[:-1], asked + b"xxxx"):
         rig.deliver(data)
         rig.deliver(data, topics.DRIVE.name)
         rig.deliver(data, "no/such/topic")
@@ -279,12 +257,8 @@ def _second_operator(rig: Rig) -> None:
         rig.ask(kind, lease_id=LEASE_ID + 1)
 
 
-def _gone(rig: Rig) -> None:
-    rig.alive = False
-
-
 def _ask(kind: int, lease_id: int = LEASE_ID) -> Act:
-    return lambda rig: rig.ask(RequestKind(kind), lease_id=lease_id)
+    return methodcaller("ask", kind, lease_id=lease_id)
 
 
 def _network() -> tuple[FaultCase, ...]:
@@ -297,8 +271,8 @@ def _network() -> tuple[FaultCase, ...]:
         FaultCase("Z6", "second operator", nothing, LIVE, each=_second_operator),
         FaultCase("Z6b", "second operator's stop", _ask(RequestKind.STOP, 99), SOFT, rearms=True),
         FaultCase("Z6c", "second operator's e-stop", _ask(RequestKind.ESTOP, 99), Must.ESTOP),
-        FaultCase("Z7", "unknown request", lambda rig: rig.ask(200), SOFT),
-        FaultCase("Z8", "operator gone", _gone, SOFT, 0.3),
+        FaultCase("Z7", "unknown request", _ask(200), SOFT),
+        FaultCase("Z8", "operator gone", lambda rig: setattr(rig, "alive", False), SOFT, 0.3),
     )  # fmt: skip
 
 

@@ -40,7 +40,6 @@ def surge(rig: Rig) -> None:
 
 
 def hit_a_wall(rig: Rig) -> None:
-    """The wheels stand still against something while the motor pushes."""
     _motor(rig, lambda plain, mode, *more: (
         WALL, WALL_CURRENT_A if mode is Mode.SPEED else plain(mode, *more)[1]
     ))  # fmt: skip
@@ -48,13 +47,11 @@ def hit_a_wall(rig: Rig) -> None:
 
 def fence_off(rig: Rig) -> None:
     """A fence all around the car; it is the car file's, not the world's."""
-    loop = rig.run.core.loop
-    state = rig.run.world.car.state
+    loop, state = rig.run.core.loop, rig.run.world.car.state
     turns = [k * tau / 32 for k in range(32)]
     corners = tuple((state.x + FENCE_M * cos(a), state.y + FENCE_M * sin(a)) for a in turns)
     settings = loop.plan.settings
-    thresholds = replace(settings.thresholds, fence=corners)
-    settings = replace(settings, thresholds=thresholds)
+    settings = replace(settings, thresholds=replace(settings.thresholds, fence=corners))
     loop.plan = replace(loop.plan, settings=settings)
 
 
@@ -83,14 +80,11 @@ def wish_for(rig: Rig, change: Callable[[Command[float] | None], Any]) -> None:
 
 
 def stuck(steer: float) -> Any:
-    """The controller wants one angle [rad]."""
     return lambda rig: wish_for(rig, lambda wanted: wanted and Command(steer, wanted.speed))
 
 
 def restart_quietly(rig: Rig) -> None:
-    """The VESC has begun anew behind a port that stayed: its uptime goes back."""
-    vesc = rig.run.world.vesc
-    vesc.boot_ns = rig.t_ns
+    rig.run.world.vesc.boot_ns = rig.t_ns
 
 
 RUNAWAY = 2.0  # acceleration of wheels that obey no speed [m/s^2]
@@ -106,32 +100,28 @@ def run_away(rig: Rig) -> None:
 
 
 def die(rig: Rig) -> None:
-    """The motor neither drives nor brakes: the car rolls."""
     _motor(rig, lambda *_: (COAST, 0.0))
 
 
 def stick(rig: Rig) -> None:
-    """The road wheels stay where they are."""
     jam(rig.run.world.car.state.steer)(rig)
 
 
 def reverse(rig: Rig) -> None:
-    """The servo turns the other way."""
     vesc = rig.run.world.vesc
     plain = vesc._servo
     vesc._servo = lambda t_ns: -plain(t_ns)  # type: ignore[method-assign]
 
 
 def slow_down(rig: Rig) -> None:
-    """The servo slews at a tenth of its rate."""
     vesc = rig.run.world.vesc
-    plain = vesc._servo
-    at = {"t_ns": rig.t_ns, "angle": rig.run.world.car.state.steer}
+    plain, at_ns, angle = vesc._servo, rig.t_ns, rig.run.world.car.state.steer
 
     def servo(t_ns: int) -> float:
-        most = SLOW_SERVO * (t_ns - at["t_ns"]) * 1e-9
-        at["angle"] += min(max(plain(t_ns) - at["angle"], -most), most)
-        at["t_ns"] = t_ns
-        return float(at["angle"])
+        nonlocal at_ns, angle
+        most = SLOW_SERVO * (t_ns - at_ns) * 1e-9
+        angle += min(max(plain(t_ns) - angle, -most), most)
+        at_ns = t_ns
+        return angle
 
     vesc._servo = servo  # type: ignore[method-assign]

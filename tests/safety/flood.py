@@ -16,7 +16,6 @@ SEED, LONGEST, PAUSE_S = 20, 90, 0.001
 
 
 def main(endpoint: str, rate: float, keys: list[str]) -> None:
-    """Flood until standard input ends."""
     config = zenoh.Config()
     for name, value in (
         ("mode", "client"),

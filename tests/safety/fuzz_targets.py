@@ -10,6 +10,7 @@ import struct
 import tempfile
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -75,7 +76,6 @@ def cut(script: bytes) -> Iterator[Piece]:
 
 
 def glue(choice: int, *pieces: Piece) -> bytes:
-    """The script of these pieces."""
     parts = [bytes((op,)) + len(body).to_bytes(2, "little") + body for op, body in pieces]
     return bytes((choice,)) + b"".join(parts)
 
@@ -101,20 +101,13 @@ def check_frames(script: bytes) -> None:
     host, firmware, sent, t_ns = FrameParser(), FrameParser(strict=True), b"", 0
     strict: list[bytes] = []
     for op, body in cut(script):
-        data = (
-            body
-            if op % 4 == 0
-            else encode_frame(body[:MAX_PAYLOAD] or b"\4")
-            if op % 4 < 3
-            else b""
-        )
-        data = flip(data, body) if op % 4 == 2 else data
+        data = choose(op, body)
         t_ns += 10 * MS * len(body) if op % 4 == 3 else MS
         if len(sent) + len(data) > MOST:
             break
         sent += data
         found = host.feed(data, t_ns)
-        assert all(short(payload) in sent or long(payload) in sent for payload in found)
+        assert all(encode_frame(payload) in sent or long(payload) in sent for payload in found)
         strict += firmware.feed(data, t_ns)
         assert max(host.buffered, firmware.buffered) <= HELD
     assert strict == FrameParser(strict=True).feed(sent, 0)
@@ -123,13 +116,14 @@ def check_frames(script: bytes) -> None:
         assert parser.feed(encode_frame(b"\4good"), t_ns) == [b"\4good"]
 
 
-def short(payload: bytes) -> bytes:
-    """The frame as everybody writes it."""
-    return encode_frame(payload)
+def choose(op: int, body: bytes) -> bytes:
+    """The bytes of a piece: as they are, in a frame, in a damaged frame, none."""
+    framed = encode_frame(body[:MAX_PAYLOAD] or b"\4")
+    return (body, framed, flip(framed, body), b"")[op % 4]
 
 
 def long(payload: bytes) -> bytes:
-    """The same with a two-byte length, which 255 bytes may have."""
+    """A frame with a two-byte length, which 255 bytes may have."""
     frame = encode_frame(payload)
     return b"\x03\x00" + frame[1:] if len(payload) == 255 else frame
 
@@ -154,9 +148,7 @@ def check_vesc(script: bytes) -> None:
     link.on_bytes(1, encode_frame(encode_reply(FwVersion(*firmware, "60", bytes(12)), firmware)))
     for op, body in cut(script[:MOST]):
         t_ns += 5 * MS
-        framed = encode_frame(body[:MAX_PAYLOAD] or b"\4")
-        data = (body, framed, flip(framed, body), b"")[op % 4]
-        for event in link.on_bytes(t_ns, data):
+        for event in link.on_bytes(t_ns, choose(op, body)):
             assert not isinstance(event, Answer) or all_finite(event.reply)
         if op % 4 == 3:
             speed, steer = struct.unpack("<ff", body[:8].ljust(8, b"\0"))
@@ -376,20 +368,13 @@ def check_session(script: bytes) -> None:
         try:
             session = open_session(path)
             for record in session.messages():
-                with_codec(record)
+                with suppress(CodecError):
+                    record.decode()
             for name in session.info().attachments:
                 session.attachment(name)
             session.columns(m.ClockSample)
         except SessionError:
             return
-
-
-def with_codec(record: Any) -> None:
-    """Decode what was recorded."""
-    try:
-        record.decode()
-    except CodecError:
-        return
 
 
 def make_file(script: bytes) -> bytes:
@@ -434,23 +419,20 @@ def session_seeds() -> list[bytes]:
             data = encode(m.ClockSample(m.make_header(k, m.BODY), k, k, 0))
             writer.write(topic, data, k + 1)
         data = writer.finish({"why": "done"}).read_bytes()
-    records, at = [], len(MAGIC)
-    while at < len(data) - len(MAGIC):
-        op, size = RECORD.unpack_from(data, at)
-        records.append((1, bytes((op,)) + data[at + RECORD.size : at + RECORD.size + size]))
-        at += RECORD.size + size
+    records = list(take_apart(1, data[len(MAGIC) : -len(MAGIC)]))
     chunk = next(body for _, body in records if body[0] == 6)
-    inner = zstandard.decompress(chunk[chunk.index(b"zstd") + 12 :])
-    loose, at = [], 0
-    while at < len(inner):
-        op, size = RECORD.unpack_from(inner, at)
-        loose.append((2, bytes((op,)) + inner[at + RECORD.size : at + RECORD.size + size]))
+    loose = list(take_apart(2, zstandard.decompress(chunk[chunk.index(b"zstd") + 12 :])))
+    packed = glue(0, *loose, (3, b"\1"), *loose, (3, b""), (4, b""))
+    return [glue(255, (0, data)), glue(0, *records), packed]
+
+
+def take_apart(piece: int, data: bytes) -> Iterator[Piece]:
+    """The records of a container as pieces."""
+    at = 0
+    while at < len(data):
+        op, size = RECORD.unpack_from(data, at)
         at += RECORD.size + size
-    return [
-        glue(255, (0, data)),
-        glue(0, *records),
-        glue(0, *loose, (3, b"\1"), *loose, (3, b""), (4, b"")),
-    ]
+        yield piece, bytes((op,)) + data[at - size : at]
 
 
 TARGETS = {

@@ -25,7 +25,6 @@ from steerd.daemon.process.children import RunProcesses, start_processes
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.links import SimHardware, raise_priority
-from steerd.sim_hw.vesc.vesc_wire import Logged
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode
@@ -58,11 +57,6 @@ def serve_hardware(config: Any, pipe: Connection) -> None:
                 pipe.send(hardware.world.log)
 
 
-def nobody_leaves() -> None:
-    """Nobody but this parent holds the car."""
-    raise AssertionError("there is neither page nor gamepad")
-
-
 @dataclass
 class Live:
     """The processes of one run and the hardware that they drive."""
@@ -75,7 +69,7 @@ class Live:
     listen: str = ""  # the run's endpoint on the bus
     # Takes the operator's requests in place of this parent, as page and gamepad do
     hand: Callable[[RequestKind], object] | None = None
-    leave: Callable[[], object] = nobody_leaves  # closes the page, or unplugs the gamepad
+    leave: Callable[[], object] | None = None  # closes the page, or unplugs the gamepad
     state: SupervisorState = SupervisorState.INIT  # as last reported, like the speed [m/s]
     # From, to, reason
     transitions: list[tuple[SupervisorState, SupervisorState, str]] = field(default_factory=list)
@@ -100,14 +94,11 @@ class Live:
     def break_it(self, fault: str) -> int:
         """A fault of the hardware begins; the time at which it does."""
         self.hardware.send(("fault", fault))
-        begun_ns: int = self.hardware.recv()
-        return begun_ns
+        return self.hardware.recv()
 
     def frames(self) -> tuple[MotorFrame, ...]:
-        """Every motor command that reached the VESC."""
         self.hardware.send(("log", None))
-        entries: list[Logged] = self.hardware.recv()
-        return read_motor_frames(entries)
+        return read_motor_frames(self.hardware.recv())
 
     def pump(self, wait_s: float = 0.02) -> None:
         """Keep the lease and read the core's records."""
@@ -138,7 +129,6 @@ class Live:
             self.pump()
 
     def live(self, seconds: float) -> None:
-        """Pump for a while."""
         end_ns = CLOCK.now_ns() + round(seconds * NS)
         self.until(lambda: CLOCK.now_ns() >= end_ns, seconds + 1.0)
 
@@ -183,14 +173,11 @@ class Live:
 
 
 def free_port() -> int:
-    """A TCP port without a listener."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
+    with socket.create_server(("127.0.0.1", 0)) as probe:
         return int(probe.getsockname()[1])
 
 
 def free_endpoint() -> str:
-    """An address on which a bus may listen."""
     return f"tcp/127.0.0.1:{free_port()}"
 
 

@@ -8,7 +8,9 @@ import os
 import signal
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
+from operator import methodcaller
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,7 @@ from steerd.steer_bus.messages import RequestKind
 from steerd.steer_bus.session_read import open_session
 from tests.safety.judge import Effort, count_drive_frames, find_stop
 from tests.safety.live import BOOT_ID, CLOCK, Live, start_live
-from tests.safety.live_hands import driven_by_another, held_by_gamepad, held_by_page
-from tests.safety.live_terminal import at_terminal
+from tests.safety.live_hands import at_terminal, driven_by_another, held_by_gamepad, held_by_page
 
 MS = 1_000_000
 PHASES = ("P1", "P3", "P5", "P7")
@@ -52,12 +53,10 @@ class LiveOutcome:
     phase: str
     stop_ms: float = -1.0
     reason: str = ""
-    wrong: tuple[str, ...] = field(default=())
+    wrong: tuple[str, ...] = ()
 
 
 def send(process: str, number: signal.Signals, times: int = 1) -> Callable[[Live], int]:
-    """A signal to one of the processes."""
-
     def act(live: Live) -> int:
         pid = live.pids()[process]
         now_ns = CLOCK.now_ns()
@@ -70,7 +69,6 @@ def send(process: str, number: signal.Signals, times: int = 1) -> Callable[[Live
 
 
 def freeze_core(live: Live) -> int:
-    """The core stands still for 0.4 s."""
     begun_ns = send("core", signal.SIGSTOP)(live)
     live.live(0.4)
     send("core", signal.SIGCONT)(live)
@@ -78,14 +76,8 @@ def freeze_core(live: Live) -> int:
 
 
 def fall_silent(live: Live) -> int:
-    """The operator's keepalives end."""
     live.alive = False
     return CLOCK.now_ns()
-
-
-def ask_to_stop(live: Live) -> int:
-    """Whoever drives asks for a stop, or lets go of the deadman."""
-    return live.ask(RequestKind.STOP)
 
 
 def leave(live: Live) -> int:
@@ -95,16 +87,8 @@ def leave(live: Live) -> int:
     return now_ns
 
 
-def hardware(fault: str) -> Callable[[Live], int]:
-    """A fault of the simulated hardware."""
-    return lambda live: live.break_it(fault)
-
-
-def options(**more: Any) -> Start:
-    """A run with other options."""
-    return lambda folder: start_live(folder, **more)
-
-
+hardware = partial(methodcaller, "break_it")
+learning = partial(start_live, learn=True)
 STOP, KILL = signal.SIGSTOP, signal.SIGKILL
 OK, STOPPED = ExitCode.OK, ExitCode.STOPPED
 FAULTS = {
@@ -123,13 +107,14 @@ FAULTS = {
     "SIGKILL gateway": LiveFault(send("gateway", KILL), 0.6, named="W27"),
     "SIGSTOP gateway": LiveFault(
         send("gateway", STOP), 1.6, named="W27", watch_s=1.0, code=STOPPED),
-    "SIGKILL learner": LiveFault(send("learner", KILL), None, start=options(learn=True)),
-    "SIGSTOP learner": LiveFault(send("learner", STOP), None, start=options(learn=True)),
+    "SIGKILL learner": LiveFault(send("learner", KILL), None, start=learning),
+    "SIGSTOP learner": LiveFault(send("learner", STOP), None, start=learning),
     "SIGKILL page": LiveFault(send("page", KILL), 1.0, named="W25", start=held_by_page),
     "SIGSTOP page": LiveFault(send("page", STOP), 1.0, named="W25", start=held_by_page),
     "page silent": LiveFault(fall_silent, 0.65, "P5", named="W25", start=held_by_page),
     "page closed": LiveFault(leave, 0.65, "P5", named="W25", start=held_by_page),
-    "gamepad released": LiveFault(ask_to_stop, 0.65, "P5", start=held_by_gamepad),
+    "gamepad released": LiveFault(
+        methodcaller("ask", RequestKind.STOP), 0.65, "P5", start=held_by_gamepad),
     "gamepad unplugged": LiveFault(leave, 0.65, "P5", start=held_by_gamepad, code=OK),
     "gamepad silent": LiveFault(fall_silent, 1.15, "P5", start=held_by_gamepad, code=OK),
     "SIGKILL gamepad": LiveFault(
@@ -152,9 +137,9 @@ FAULTS = {
     "VESC reboots": LiveFault(hardware("V15"), 0.4, "P5", wire=False),
     "kill switch": LiveFault(hardware("V19"), 0.4, "P3 P5"),
     "operator gone": LiveFault(fall_silent, 1.5, "P3 P5"),
-    "stranger's stop": LiveFault(lambda live: live.ask(RequestKind.STOP, STRANGER), 0.3, "P5 P7"),
+    "stranger's stop": LiveFault(methodcaller("ask", RequestKind.STOP, STRANGER), 0.3, "P5 P7"),
     "stranger's e-stop": LiveFault(
-        lambda live: live.ask(RequestKind.ESTOP, STRANGER), 0.3, "P1 P3 P5"),
+        methodcaller("ask", RequestKind.ESTOP, STRANGER), 0.3, "P1 P3 P5"),
 }  # fmt: skip
 CELLS = [(name, phase) for name, fault in FAULTS.items() for phase in fault.phases.split()]
 
@@ -185,7 +170,6 @@ def run_live(name: str, phase: str) -> LiveOutcome:
 def judge(
     fault: LiveFault, phase: str, fault_ns: int, frames: list[Any], followed: list[Any]
 ) -> Iterator[str]:
-    """What is wrong with a cell."""
     states = [to for _, to, _ in followed]
     yield from judge_frames(fault, phase, fault_ns, frames, states)
     if SupervisorState.RUNNING in states:
@@ -200,7 +184,6 @@ def judge(
 def judge_frames(
     fault: LiveFault, phase: str, fault_ns: int, frames: list[Any], states: list[SupervisorState]
 ) -> Iterator[str]:
-    """What is wrong with the bytes of a cell."""
     after = [frame for frame in frames if frame.t_ns >= fault_ns]
     if phase not in MOVING:
         if any(frame.effort is Effort.DRIVE for frame in after):

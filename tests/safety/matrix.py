@@ -42,8 +42,6 @@ def list_cells() -> list[tuple[str, str]]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What happened in a cell."""
-
     code: str
     phase: str
     stop_s: float  # from the fault to the first stop byte; inf if none came
@@ -129,7 +127,6 @@ def drive_cold(rig: Rig, fault_case: FaultCase) -> None:
 
 
 def must_now(fault_case: FaultCase, phase: str) -> Must:
-    """What this fault asks for in this phase."""
     return fault_case.at.get(phase, fault_case.must)
 
 
@@ -197,7 +194,6 @@ def judge_moving(f: Facts) -> Iterator[str]:
 
 
 def judge_stop(f: Facts) -> Iterator[str]:
-    """A fault that must stop the car."""
     ramps_already = f.seen.phase == "P7" and f.must is Must.STOP_SOFT
     if f.fault_case.wire:
         if not ramps_already and f.seen.stop_s > f.bound_s:
@@ -215,7 +211,6 @@ def judge_stop(f: Facts) -> Iterator[str]:
 
 
 def judge_undisturbed(f: Facts) -> Iterator[str]:
-    """A fault that a car must live with."""
     if {SupervisorState.FAULT_STOP, SupervisorState.ESTOP, SupervisorState.INIT} & {*f.seen.states}:
         yield f"(f) false stop: {f.seen.states} {f.seen.reasons[-1]}"
     elif f.seen.phase != "P7" and f.reported_s < WATCH_S:
@@ -231,7 +226,6 @@ def judge_deaf(f: Facts) -> Iterator[str]:
 
 
 def judge_standing(f: Facts) -> Iterator[str]:
-    """A car that stands and must not begin to move."""
     if any(frame.effort is Effort.DRIVE for frame in f.frames):
         yield "(b) a drive frame while not running"
     if f.seen.distance_m > 0.02:

@@ -52,7 +52,6 @@ class OtherCell:
 
     @property
     def changed(self) -> str:
-        """What happens, in words."""
         return f"{BY_CODE[self.code].name} (without {', '.join(self.behind)})"
 
     def drive(self) -> str:

@@ -29,7 +29,6 @@ PAGES = Path(__file__).parents[2] / "docs" / "reference"
 
 
 def run_named(cell: tuple[str, str]) -> Outcome:
-    """One cell by fault and phase."""
     return run_cell(BY_CODE[cell[0]], cell[1])
 
 
@@ -132,7 +131,6 @@ def replace_section(text: str, name: str, lines: Iterable[str]) -> str:
 
 
 def write_sections(page: str, **sections: Iterable[str]) -> None:
-    """Replace the generated sections of one page."""
     path = PAGES / page
     text = path.read_text(encoding="utf-8")
     for name, lines in sections.items():
@@ -141,7 +139,6 @@ def write_sections(page: str, **sections: Iterable[str]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing")
     parser.add_argument("--jobs", type=int, default=-1)

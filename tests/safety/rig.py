@@ -93,7 +93,6 @@ class Rig:
     def ask(
         self, kind: RequestKind | int, lease_id: int = LEASE_ID, boot_id: int = BOOT_ID
     ) -> None:
-        """An operator's request."""
         self.seq += 1
         header = make_header(self.t_ns + VIRTUAL_EPOCH_NS, BODY)
         data = encode(OperatorRequest(header, boot_id, lease_id, self.seq, kind, "judge"))
@@ -105,7 +104,6 @@ class Rig:
         self.run.core.on_request(topic, data, self.t_ns)
 
     def propose(self) -> None:
-        """A learner's next design, or none."""
         design = self.proposals[self.proposed % len(self.proposals)]
         self.proposed += 1
         self.propose_ns = self.t_ns + PROPOSE_NS
@@ -116,7 +114,6 @@ class Rig:
         self.run.core.on_proposal(encode(message), self.t_ns)
 
     def step(self) -> None:
-        """One period."""
         if self.alive and self.t_ns - self.spoke_ns >= KEEPALIVE_NS:
             self.spoke_ns = self.t_ns
             self.ask(RequestKind.KEEPALIVE)
@@ -128,7 +125,6 @@ class Rig:
         self.track.append(Motion(self.run.world.car.t_ns, state.x, state.y, state.speed))
 
     def until(self, holds: Callable[["Rig"], bool], limit_s: float = 5.0) -> None:
-        """Step until a condition holds."""
         end = self.t_ns + round(limit_s * NS)
         while not holds(self):
             assert self.t_ns < end, (self.state, self.run.core.last)
@@ -140,7 +136,6 @@ class Rig:
         self.go_on(then_s)
 
     def go_on(self, seconds: float) -> None:
-        """Step for a while."""
         end = self.t_ns + round(seconds * NS)
         self.until(lambda rig: rig.t_ns >= end, seconds + 1.0)
 
@@ -153,7 +148,6 @@ class Rig:
         self.reach(SupervisorState.RUNNING, then_s)
 
     def break_it(self, fault: str, **params: bool | float | str) -> None:
-        """A fault of the simulated hardware begins now."""
         self.run.world.add_fault(Fault(fault, self.t_ns, **params))
 
 

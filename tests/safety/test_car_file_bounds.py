@@ -34,8 +34,6 @@ CONTROLLER = {
 
 
 class Case(NamedTuple):
-    """One number of a car file."""
-
     section: str
     key: str
     value: float

@@ -15,45 +15,35 @@ CELLS = list_cells()
 ASKED = os.environ.get("STEERD_FAULTS", "0")
 
 
-def chosen() -> list[tuple[str, str]]:
-    """All cells, or a third of them drawn with a seed: each fault and each phase is in it."""
-    if ASKED == "all":
-        return CELLS
-    rng = np.random.default_rng(int(ASKED))
-    by_fault = [
-        [cell for cell in CELLS if cell[0] == fault_case.code] for fault_case in FAULT_CASES
-    ]
-    return [
-        cells[k]
-        for cells in by_fault
-        for k in sorted(rng.choice(len(cells), (len(cells) + 2) // 3, replace=False))
-    ]
+def draw(adapting: bool) -> list[tuple[str, str, bool]]:
+    """All cells, or of each fault a third drawn with a seed; with a mistaken learner one."""
+    drawn = CELLS
+    if ASKED != "all":
+        rng, drawn = np.random.default_rng([int(ASKED), adapting]), []
+        for code in BY_CODE:
+            cells = [cell for cell in CELLS if cell[0] == code]
+            count = 1 if adapting else (len(cells) + 2) // 3
+            drawn += [cells[k] for k in sorted(rng.choice(len(cells), count, replace=False))]
+    return [(*cell, adapting) for cell in drawn]
+
+
+DRAWN = draw(False) + draw(True)
 
 
 def test_the_matrix_is_as_large_as_it_says() -> None:
     assert len(FAULT_CASES) >= 72
-    assert len({fault_case.code for fault_case in FAULT_CASES}) == len(FAULT_CASES)
+    assert len(BY_CODE) == len(FAULT_CASES)
     assert len(CELLS) >= 8 * len(FAULT_CASES)
-    assert {phase for _, phase in chosen()} == set(PHASES)
-    assert {code for code, _ in chosen()} == set(BY_CODE)
+    assert {phase for _, phase, adapting in DRAWN if not adapting} == set(PHASES)
+    assert {(code, adapting) for code, _, adapting in DRAWN} == {
+        (code, adapting) for code in BY_CODE for adapting in (False, True)
+    }
 
 
-@pytest.mark.parametrize(("code", "phase"), chosen())
-def test_cell(code: str, phase: str) -> None:
-    outcome = run_cell(BY_CODE[code], phase)
+@pytest.mark.parametrize(("code", "phase", "adapting"), DRAWN)
+def test_cell(code: str, phase: str, adapting: bool) -> None:
+    outcome = run_cell(BY_CODE[code], phase, adapting=adapting)
     assert not outcome.wrong, outcome
-
-
-def chosen_adapting() -> list[tuple[str, str]]:
-    """All cells, or one of each fault."""
-    if ASKED == "all":
-        return CELLS
-    rng = np.random.default_rng([int(ASKED), 1])
-    drawn = []
-    for fault_case in FAULT_CASES:
-        cells = [cell for cell in CELLS if cell[0] == fault_case.code]
-        drawn.append(cells[int(rng.integers(len(cells)))])
-    return drawn
 
 
 @pytest.mark.parametrize("phase", ["P5", "P6"])
@@ -70,26 +60,17 @@ def test_the_mistaken_learner_is_followed(phase: str) -> None:
     assert rig.state is SupervisorState.RUNNING
 
 
-@pytest.mark.parametrize(("code", "phase"), chosen_adapting())
-def test_cell_with_a_mistaken_learner(code: str, phase: str) -> None:
-    outcome = run_cell(BY_CODE[code], phase, adapting=True)
-    assert not outcome.wrong, outcome
-
-
 def test_a_cell_is_repeatable_to_the_byte() -> None:
     logs = []
     for _ in range(2):
         rig = twin(at_phase("P5"))
         rig.break_it("M14")
-        for _ in range(60):
-            rig.step()
+        rig.go_on(0.6)
         logs.append(list(rig.run.world.log))
     assert logs[0] == logs[1]
 
 
-# A short drive of `benchmarks/no_false_stop.py`: lost and late poses stop no car.
-
-
 @pytest.mark.parametrize("seed", [1, 2])
 def test_nominal_driving_with_loss_and_gaps_is_not_stopped(seed: int) -> None:
+    """A short drive of `benchmarks/no_false_stop.py`: lost and late poses stop no car."""
     assert drive_once(seed, 15.0).stopped == ""

@@ -22,7 +22,7 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus.messages import RequestKind
 from tests.safety.live import start_live
 from tests.safety.live_faults import CELLS, FAULTS, run_live, send
-from tests.safety.live_terminal import at_terminal
+from tests.safety.live_hands import at_terminal
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 

@@ -55,17 +55,13 @@ def test_every_motor_command_is_read_for_what_it_does() -> None:
     data = b"".join(encode_frame(struct.pack(">Bi", number, count)) for number, count, _, _ in sent)
     data += encode_frame(b"\x0c\x01\xf4") + encode_frame(b"\x04")
     log = [Logged(7, "vesc", data[:9]), Logged(8, "host", b"\x02\x01"), Logged(9, "vesc", data[9:])]
-    frames = read_motor_frames(log)
-    assert [(f.effort, f.value) for f in frames] == [
-        (effort, value) for _, _, effort, value in sent
-    ]
+    assert [(f.effort, f.value) for f in read_motor_frames(log)] == [each[2:] for each in sent]
 
 
 def test_a_stop_that_is_taken_back_is_none() -> None:
     assert find_stop([drive(1), brake(2), brake(3)], 0) == brake(2)
-    assert find_stop([drive(1), drive(2), drive(3, 4.0), drive(4, 3.0), brake(5)], 0) == drive(
-        3, 4.0
-    )
+    slower = [drive(1), drive(2), drive(3, 4.0), drive(4, 3.0), brake(5)]
+    assert find_stop(slower, 0) == drive(3, 4.0)
     assert find_stop([drive(1), brake(2), drive(3), brake(4)], 0) == brake(4)
     assert find_stop([drive(1), drive(2, 4.0), drive(3, 4.5), brake(4)], 0) == brake(4)
     assert find_stop([drive(1), drive(2)], 0) is None
@@ -74,12 +70,9 @@ def test_a_stop_that_is_taken_back_is_none() -> None:
     assert find_stop([drive(1), brake(2), drive(3, 4.0)], 0, ramps=False) is None
 
 
-def test_drive_frames_after_a_moment_are_counted() -> None:
+def test_frames_and_distances_are_counted_measured_and_computed() -> None:
     assert count_drive_frames([drive(1), brake(2), drive(3), drive(4)], 2) == 2
     assert count_drive_frames([drive(2), brake(3)], 2) == 0
-
-
-def test_the_distance_is_measured_and_computed() -> None:
     track = [Motion(k, 0.3 * k, 0.4 * k, 1.0) for k in range(5)]
     assert distance_driven(track, 1) == pytest.approx(1.5)
     assert stopping_distance(2.0, 0.1, 4.0) == pytest.approx(0.7)
@@ -95,20 +88,17 @@ def test_without_the_fault_the_cell_fails(code: str, phase: str) -> None:
     assert run_cell(sound, phase).wrong
 
 
-def test_a_daemon_that_goes_on_driving_is_found_out() -> None:
-    harmless = replace(BY_CODE["Z2"], must=BY_CODE["M1"].must, bound_s=0.1)
-    assert any(word.startswith("(a)") for word in run_cell(harmless, "P5").wrong)
-
-
-def test_a_false_stop_is_found_out() -> None:
-    fatal = replace(BY_CODE["M1"], must=BY_CODE["M17"].must, bound_s=0.0)
-    assert any(word.startswith("(f)") for word in run_cell(fatal, "P5").wrong)
+@pytest.mark.parametrize(("code", "like", "bound_s", "verdict"), [
+    ("Z2", "M1", 0.1, "(a)"), ("M1", "M17", 0.0, "(f)"),
+], ids=["goes on driving", "a false stop"])  # fmt: skip
+def test_a_daemon_that_does_otherwise_is_found_out(code, like, bound_s, verdict) -> None:
+    wanted = replace(BY_CODE[code], must=BY_CODE[like].must, bound_s=bound_s)
+    assert any(word.startswith(verdict) for word in run_cell(wanted, "P5").wrong)
 
 
 # Every watchdog of the safety page exists, trips in its cell, and its absence shows there.
 
-PAGE = Path(__file__).parents[2] / "docs" / "reference" / "safety-matrix.md"
-REQUIREMENTS = Path(__file__).parents[2] / "docs" / "reference" / "safety-requirements.md"
+PAGES = Path(__file__).parents[2] / "docs" / "reference"
 
 
 def test_every_watchdog_is_traced_and_every_threshold_belongs_to_one() -> None:
@@ -121,19 +111,14 @@ def test_every_watchdog_is_traced_and_every_threshold_belongs_to_one() -> None:
         assert trace.cell[0] in BY_CODE
 
 
-def test_every_required_watchdog_is_traced_under_its_name() -> None:
-    text = REQUIREMENTS.read_text(encoding="utf-8")
-    rows = re.findall(r'^\| <a id="(w\d+)"></a>(W\d+) ([^|]+?) \|', text, re.M)
-    assert [id for _, id, _ in rows] == list(TRACES)
-    assert [(anchor, name) for anchor, _, name in rows] == [
-        (id.lower(), WATCHDOGS[id].name) for id in TRACES
-    ]
-
-
-def test_the_page_shows_every_trace() -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    table = text[text.index("<!-- trace: begin -->") : text.index("<!-- trace: end -->")]
-    assert re.findall(r"^\| (W\d+) ", table, re.M) == list(TRACES)
+def test_the_pages_show_every_watchdog_under_its_name() -> None:
+    required = (PAGES / "safety-requirements.md").read_text(encoding="utf-8")
+    rows = re.findall(r'^\| <a id="(w\d+)"></a>(W\d+) ([^|]+?) \|', required, re.M)
+    assert rows == [(id.lower(), id, WATCHDOGS[id].name) for id in TRACES]
+    _, _, matrix = (PAGES / "safety-matrix.md").read_text("utf-8").partition("<!-- trace: begin")
+    shown = re.findall(r"^\| (W\d+) .*?\| (.*?) \|", matrix.partition("<!-- trace: end")[0], re.M)
+    assert [id for id, _ in shown] == list(TRACES)
+    assert all(changed in dict(shown)[id] for id, changed in list_outside().items())
 
 
 @pytest.mark.slow
@@ -158,12 +143,6 @@ def test_each_watchdog_has_one() -> None:
         assert shown in FAULTS or (shown in tests and id.lower() in shown)
     for drive in DRIVES.values():
         assert not BY_CODE[getattr(drive, "code", "C2")].inside
-
-
-def test_the_page_lists_them() -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    rows = dict(re.findall(r"^\| (W\d+) .*?\| (.*?) \|", text, re.M))
-    assert all(changed in rows[id] for id, changed in list_outside().items())
 
 
 @pytest.mark.parametrize("id", DRIVES)

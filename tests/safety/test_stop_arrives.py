@@ -5,14 +5,11 @@ Nothing but the outside world is changed.
 """
 
 import contextlib
-import os
-import re
 import select
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
 
 import pytest
 from websockets.sync.client import connect  # noqa: TID251
@@ -23,6 +20,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.messages import RequestKind
 from steerd.steer_bus.topics import make_key
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
+from tests.e2e.conftest import Program
 from tests.safety.judge import find_stop
 from tests.safety.live import BOOT_ID, CLOCK, LEASE_ID, Live, start_live
 
@@ -33,21 +31,14 @@ REQUESTS = ["steerd/car1/cmd/operator", "steerd/car1/cmd/stop", "steerd/car1/cmd
 STATUS = ["steerd/car1/diagnostics", "steerd/car1/transition", "steerd/car1/state"]
 
 
-def first_line(live: Live, out: IO[str]) -> str:
-    """What a process says first; the car is held meanwhile."""
-    live.until(lambda: bool(select.select([out], [], [], 0.0)[0]))
-    return out.readline()
-
-
 @contextlib.contextmanager
 def flood(live: Live, keys: list[str]) -> Iterator[None]:
     """40 000 messages a second of garbage under these keys, by a process that stands aside."""
     command = ["nice", sys.executable, str(FLOOD), live.listen, str(RATE), *keys]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen(command, text=True, **pipes) as process:
-        assert process.stdout is not None
-        assert process.stdin is not None
-        assert first_line(live, process.stdout) == "flooding\n"
+        live.until(lambda: bool(select.select([process.stdout], [], [], 0.0)[0]))
+        assert process.stdout.readline() == "flooding\n"
         try:
             yield
         finally:
@@ -57,19 +48,10 @@ def flood(live: Live, keys: list[str]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def page(live: Live) -> Iterator[str]:
-    """`steerd page` beside the car: where its WebSocket is."""
-    command = [sys.executable, "-m", "steerd", "page", "--connect", live.listen]
-    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    with subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    ) as process:
-        assert process.stdout is not None
-        found = re.search(r"http:(\S+)", first_line(live, process.stdout))
-        assert found is not None
-        try:
-            yield f"ws:{found[1]}live"
-        finally:
-            process.terminate()
+    """`steerd page` beside the car: where its WebSocket is; the car is held until it opens."""
+    with contextlib.closing(Program("page", "--connect", live.listen)) as program:
+        live.until(lambda: not program.pump(0.0) or "http:" in program.text)
+        yield "ws:" + program.expect(r"http:(\S+)\s")[1] + "live"
 
 
 def brake_bytes(live: Live, since_ns: int) -> float:
@@ -106,12 +88,9 @@ def test_the_command_stops_and_says_so(tmp_path, keys, name):
         live.reach("P5")
         with flood(live, keys):
             live.live(0.5)
-            command = [sys.executable, "-m", "steerd", name, "--connect", live.listen]
-            with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-                live.until(lambda: process.poll() is not None, 20.0)
-                assert process.stderr is not None
-                said = process.stderr.read()
-            assert process.returncode == 0, said
+            with contextlib.closing(Program(name, "--connect", live.listen)) as program:
+                live.until(lambda: program.process.poll() is not None, 20.0)
+                assert program.wait() == 0, program.text
         assert live.state is not SupervisorState.RUNNING
 
 

@@ -87,7 +87,6 @@ TRACES = {
 
 
 def find_code(code: str) -> Any:
-    """What ``module:name`` names."""
     module, _, path = code.partition(":")
     found: Any = importlib.import_module(module)
     for name in path.split("."):
@@ -128,11 +127,8 @@ def write_trace(outside: Mapping[str, str]) -> list[str]:
         shown, without = run_trace(id)
         behind = f" (without {', '.join(row.behind)})" if row.behind else ""
         ms = f"{shown.stop_s * 1e3:.0f} ms" if shown.stop_s < 10.0 else "by the VESC's timeout"
-        cell = "; ".join(
-            each
-            for each in (f"{' '.join(row.cell)}{behind}, {ms}", outside.get(id), row.also)
-            if each
-        )
+        words = f"{' '.join(row.cell)}{behind}, {ms}", outside.get(id), row.also
+        cell = "; ".join(filter(None, words))
         lines.append(f"| {id} {WATCHDOGS[id].name} | {cell} | {_loss(without)} |")
     return lines
 

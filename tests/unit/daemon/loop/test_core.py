@@ -29,7 +29,6 @@ def plan():
 
 
 def ready() -> Rig:
-    """A car that may be armed."""
     rig = twin(at_phase("P1"))
     rig.reach(SupervisorState.READY)
     return rig

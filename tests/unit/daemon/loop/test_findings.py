@@ -24,8 +24,7 @@ def test_summary_takes_the_worst_text_and_all_bits():
     assert summarise((soft, kill, soft)) == (Fact.SOFT | Fact.KILLED, kill.text)
 
 
-def test_every_watchdog_of_the_page_exists_with_advice():
-    assert {f"W{k}" for k in range(1, 30)} <= set(WATCHDOGS)
+def test_every_watchdog_trips_with_advice():
     assert all(row.advice and row.severity > Severity.WARN for row in WATCHDOGS.values())
     with pytest.raises(KeyError):
         make_finding("W99", "")

@@ -45,13 +45,10 @@ def test_an_actuation_holds_what_its_drive_has_and_nan_elsewhere(drive, mode, sp
     assert out.read_actuation(made)[:2] == (mode, 0.1)
 
 
-def test_a_state_without_estimate_is_nan_and_has_mode_and_flags():
+def test_a_state_without_estimate_is_nan_and_a_transition_names_both_states_and_the_reason():
     made = out.make_state(tick(changed(MEMORY, state=SupervisorState.READY)), 3, 10, 100)
     assert (made.mode, made.flags, made.seq, made.mono_ns) == (SupervisorState.READY, 5, 3, 10)
     assert all(isnan(value) for value in (made.x, made.speed, made.e1, made.x_sd))
-
-
-def test_a_transition_names_both_states_and_the_reason():
     memory = changed(MEMORY, state=SupervisorState.ESTOP, reason="W10 pressed")
     made = out.make_transition(tick(memory), 9)
     assert (made.from_state, made.to_state) == (SupervisorState.RUNNING, SupervisorState.ESTOP)
@@ -83,10 +80,6 @@ SETTINGS = Mock(limits=LIMITS, brakes=BRAKES, scaling=F1TENTH)
 T0, TICK = 10**9, 10_000_000
 
 
-def brake(current):
-    return Drive(ActuationMode.BRAKE, 0.1, current=current)
-
-
 def same(drive, other):
     """Equal, and without a number where the other is without."""
     return str(drive) == str(other)
@@ -99,7 +92,8 @@ def order(motor, steering=SteeringOutput.LIVE, wish=None, speed=1.0, cap=inf, st
 
 
 @pytest.mark.parametrize(("motor", "drive"), [
-    *((MotorOutput[name], brake(getattr(BRAKES, f"{name.lower()}_current_a")))
+    *((MotorOutput[name], Drive(
+        ActuationMode.BRAKE, 0.1, current=getattr(BRAKES, f"{name.lower()}_current_a")))
       for name in ("SOFT_BRAKE", "HOLD_BRAKE", "BRAKE", "ESTOP_BRAKE")),
     (MotorOutput.DUTY_ZERO, Drive(ActuationMode.SHORT, 0.1)),
     (MotorOutput.RELEASE_ONCE, Drive(ActuationMode.RELEASE, 0.1)),
@@ -157,16 +151,14 @@ NAMES = {
 }  # fmt: skip
 
 
-def bits_of_flag():
-    return [value for name, value in vars(Flag).items() if name.isupper()]
+BITS = [value for name, value in vars(Flag).items() if name.isupper()]
 
 
 def test_every_flag_is_one_bit_of_its_own():
-    bits = bits_of_flag()
-    assert sorted(bits) == [1 << k for k in range(len(bits))]
+    assert sorted(BITS) == [1 << k for k in range(len(BITS))]
 
 
-@pytest.mark.parametrize("flag", bits_of_flag())
+@pytest.mark.parametrize("flag", BITS)
 @pytest.mark.parametrize("linked", [0, Flag.LINKED])
 def test_each_flag_reports_its_watchdog_or_none(flag, linked):
     found = list(fs.make_reported_findings(flag | linked))

@@ -107,14 +107,11 @@ REACH = 2.0 * 0.25 + 0.0625  # in a quarter of a second [m]
 
 
 @pytest.mark.parametrize(("base", "next_frame", "verdict"), [
-    (frame(), frame(1.25, 2, x=1.0 + REACH), ACCEPTED),
-    (frame(), frame(1.25, 2, y=2.0 - REACH), ACCEPTED),
-    (frame(), frame(1.25, 2, x=nextafter(1.0 + REACH, 9)), JUMP),
-    (frame(), frame(1.25, 2, y=2.0 + REACH + 1e-9), JUMP),
-    (frame(), frame(1.01, 2, yaw=0.5), ACCEPTED),
-    (frame(), frame(1.01, 2, yaw=-0.5), ACCEPTED),
-    (frame(), frame(1.01, 2, yaw=nextafter(0.5, 1)), JUMP),
-    (frame(), frame(1.01, 2, yaw=nextafter(-0.5, -1)), JUMP),
+    *((frame(), frame(1.25, 2, **at), verdict) for at, verdict in (
+        ({"x": 1.0 + REACH}, ACCEPTED), ({"y": 2.0 - REACH}, ACCEPTED),
+        ({"x": nextafter(1.0 + REACH, 9)}, JUMP), ({"y": 2.0 + REACH + 1e-9}, JUMP))),
+    *((frame(), frame(1.01, 2, yaw=yaw), verdict) for yaw, verdict in (
+        (0.5, ACCEPTED), (-0.5, ACCEPTED), (nextafter(0.5, 1), JUMP), (nextafter(-0.5, -1), JUMP))),
     (frame(yaw=pi - 0.1), frame(1.01, 2, yaw=-pi + 0.1), ACCEPTED),
     (frame(number=-1), frame(1.0, -1, x=1.0625), ACCEPTED),  # a first pose: no time before it
     (frame(number=-1), frame(1.0, -1, x=1.0626), JUMP),

@@ -21,8 +21,6 @@ def plan():
 
 
 def go(ticks):
-    """Drives so many ticks."""
-
     def steps(run):
         for _ in range(ticks):
             run.step()
