@@ -212,11 +212,10 @@ def test_healthy_drives_and_the_named_base_are_taken(four, late):
     assert any("the default car is assumed" in note for note in case_of(*given).notes)
 
 
-def test_effects_go_by_their_aliases_too_and_options_by_their_old_spellings(four, late):
+def test_effects_go_by_their_aliases_too_and_the_base_by_identifys_word(four, late):
     case = case_of(four[0], "--only", "servo_lag", "--only", "steer_delay", "--without", "mass")
     assert (case.asked.only, case.asked.without) == (("steer_lag", "steer_delay"), ("mass",))
     car = late[0] / "car.toml"
-    old = case_of(four[0], four[1], "--runs-held-out", four[1], "--car", car)
-    new = case_of(four[0], four[1], "--held-out", four[1], "--base", car)
-    assert old.held_out_of == new.held_out_of == "run1.mcap"
-    assert old.base_source == new.base_source == str(car)
+    for word in ("--car", "--base"):
+        case = case_of(four[0], four[1], "--held-out", four[1], word, car)
+        assert (case.held_out_of, case.base_source) == ("run1.mcap", str(car))

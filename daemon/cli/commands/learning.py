@@ -107,7 +107,6 @@ def diagnose_arguments(parser: ArgumentParser) -> None:
     option(what, "--speed", None, _SPEED, choices=("command", "wheel"), default="command")
     text = "measure the shrinkage on every K-th drive (default 4; 0: none), or on these files"
     option(what, "--held-out", "K|FILE,…", text, missing_session, **_HELD_OUT)
-    option(what, "--runs-held-out", None, SUPPRESS, dest="held_out", **_HELD_OUT)  # until 0.1
     out = parser.add_argument_group("output")
     text = "for programs; alone: to the terminal"
     option(out, "--json", "FILE", text, nargs="?", const=_SCREEN, type=Path)
