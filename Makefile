@@ -63,8 +63,9 @@ unit: install     ## the quick tests, half a minute: no processes, no statistics
 	$(PYTEST) -n 2 -m "not realtime and not slow" tests/unit
 
 all-tests: install
-	# By file: what a file's tests share (a drive, an identified car) is made once.
-	$(PYTEST) -n 2 --dist loadfile -m "not realtime"
+	# By file: what a file's tests share (a drive, an identified car) is made once. Folders in their
+	# order: whole commands and builds begin first, else one of them is what all wait for at the end.
+	$(PYTEST) -n 2 --dist loadfile --no-loadscope-reorder -m "not realtime"
 	# A machine that stalls for 30 ms rightly stops a car; such a drive is driven again, twice at most;
 	# the run fails if more than a tenth of them needed that (tests/conftest.py).
 	$(PYTEST) -m realtime --reruns 2
