@@ -22,10 +22,8 @@ def is_clear(said: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("command", "size"), [
-    *((("run",), size) for size in (0, 2_000, 40_000, 150_000)),
-    (("collect", "--plan", "circles"), 40_000),
-])  # fmt: skip
+@pytest.mark.parametrize("command", [("run",), ("collect", "--plan", "circles")])
+@pytest.mark.parametrize("size", [0, 2_000, 40_000, 150_000])
 def test_a_drive_ends_with_one_line(command, size, tmp_path, room_for, cli):
     path = tmp_path / "drive.mcap"
     room_for(size)

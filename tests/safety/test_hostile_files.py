@@ -98,10 +98,12 @@ def test_a_table_with_a_quote_that_is_never_closed(tmp_path, refuses):
 
 def command(*words, before=None, **env):
     """A command in a process of its own: its code and what it says; it is killed if it hangs."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     done = subprocess.run(
         [sys.executable, "-m", "steerd", *map(str, words)], capture_output=True, text=True,
         stdin=subprocess.DEVNULL, preexec_fn=before, timeout=60, env={**os.environ, **env},
     )  # fmt: skip
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - used < SOON
     return done.returncode, done.stdout, done.stderr
 
 

@@ -28,9 +28,9 @@ def test_unknown_effects_are_refused(drive, base):
         diagnose(Case(drive("", runs=1, seconds=4.0), base, GapOptions(only=("wings",))))
 
 
-@pytest.mark.parametrize(("name", "value", "seed"), [
-    ("steer_delay", 0.03, 40), ("steer_delay", 0.03, 41), ("steer_lag", 0.1, 41),
-    ("speed_scale", 0.93, 42), ("marker_offset", 0.04, 40), ("marker_offset", 0.04, 42),
+@pytest.mark.parametrize("seed", [40, 41, 42])
+@pytest.mark.parametrize(("name", "value"), [
+    ("steer_delay", 0.03), ("steer_lag", 0.1), ("speed_scale", 0.93), ("marker_offset", 0.04),
 ])  # fmt: skip
 def test_a_single_cause_is_named_and_no_second_beside_it(drive, quiet, name, value, seed):
     """Against the whole library, pairs tried."""

@@ -52,8 +52,8 @@ def test_a_failed_unit_is_a_result_and_no_end(tmp_path, jobs):
 
 @pytest.mark.slow
 def test_a_worker_that_dies_takes_nobody_along(tmp_path):
-    found = run(tmp_path, Where(2), "good", "die", "die once", *["good"] * 3)
-    assert len(found) == 6
+    found = run(tmp_path, Where(2), "good", "die", "die once", *["good"] * 5)
+    assert len(found) == 8
     assert {name for name, done in found.items() if done.row is None} == {"1 die"}
     assert found["1 die"].failure == "its worker died each time"
     assert found["1 die"].tries == TRIES
@@ -73,7 +73,7 @@ def test_a_cluster_gives_the_same_results_and_survives_a_worker(tmp_path):
     """With a real scheduler and two worker processes on loopback."""
     distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
-    kinds = ("good", "refuse", "break", "disk once", "die once", *["good"] * 4)
+    kinds = ("good", "refuse", "break", "disk once", "die once", *["good"] * 12)
     with distributed.LocalCluster(**options, host="127.0.0.1") as cluster:
         found = run(tmp_path, Where(dask=cluster.scheduler_address), *kinds)
     assert len(found) == len(kinds)

@@ -445,7 +445,7 @@ def test_every_kind_of_death_is_heard_of_and_a_stopped_holder_is_not_dead(held, 
     assert holder.wait() == -how
 
 
-@pytest.mark.parametrize("held", [128], indirect=True)
+@pytest.mark.parametrize("held", [512], indirect=True)
 def test_the_lifeline_does_not_wait_for_the_memory_to_be_taken_apart(held):
     holder, _, line = held
     gone = select.poll()
