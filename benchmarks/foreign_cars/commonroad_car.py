@@ -300,6 +300,9 @@ def _advance(
             k3 = _rates(x + 0.5 * dt * k2, steering, accel, push[i], car, floor)
             k4 = _rates(x + dt * k3, steering, accel, push[i], car, floor)
             x += dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            # As the package does in the state it is handed: a wheel does not turn backwards. Left
+            # below zero it would have no rate at all, and stand still to the end of the drive.
+            x[23:27] = np.maximum(x[23:27], 0.0)
 
 
 def grip_at(floor: Floor, x: float, y: float, t: float) -> float:
