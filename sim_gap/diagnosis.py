@@ -300,6 +300,8 @@ def _notes(search: _Search, judged: Verdict, fits: Fits) -> list[str]:
         notes.append("noise was learnt from these drives: a gap like noise is not identifiable")
     if len(np.unique(layout.run)) < 4:
         notes.append("fewer than four runs: held-out parts are blocks of the same drives")
+    if fits.likelihood.left > c.GAP_SIZE:
+        notes.append("the base does not hold the drives that it was identified from either")
     if judged.causes and judged.strain > c.STRAINED:
         notes.append("beside the cause the base moved further than its own uncertainty lets it")
     if search.found.untested:

@@ -67,9 +67,8 @@ def believed(reference: Reference, track: Track) -> AugmentedCar:
     n, z = space.nuisance, space.centre.copy()
     z[:n] += track.mean
     learnt = replace(reference.augmented, base=space.chart.parameters(z))
-    known = BasePrior(space.chart.free[:n], track.covariance)
-    if learnt.knowledge is not None:
-        known = replace(known, excess=learnt.knowledge.excess)
+    known, names = learnt.knowledge or BasePrior((), track.covariance), space.chart.free[:n]
+    known = BasePrior(names, track.covariance, size=known.size, least=known.least)
     return replace(learnt, knowledge=known)
 
 

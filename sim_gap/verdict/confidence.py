@@ -40,7 +40,7 @@ class Cause:
 class Verdict:
     """What the hypotheses say together."""
 
-    name: str  # `none`, `explained`, `partial` or `unexplained`
+    name: str  # `none`, `explained`, `partial`, `unexplained` or `unjudged`
     # Named effects, first the one without which the odds fall most
     causes: tuple[Cause, ...]
     # Posterior probability that no effect of the library is a cause of the gap
@@ -55,25 +55,24 @@ def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
     best = found.best
     left = 1.0 if is_lost(best.point) else _left(found)
     stays = leaves_gap(best.point) and known
+    own = library.likelihood.left  # what the base leaves in its own drives is no new gap
+    nameless = "unjudged" if own > c.GAP_SIZE and found.start.size <= own else "unexplained"
     strain = base_strain(best)
     places, values = library.likelihood.predictor.augmented.places, best.point.parameters
     bounded = {n: library.effect(n).is_at_bound(values[places(n)].tolist()) for n in best.effects}
     extreme = tuple(n for n in best.effects if bounded[n])
     if not best.effects:
-        name = "unexplained" if stays else "none"
-        return Verdict(name, (), best.probability, left, strain, ())
+        return Verdict(nameless if stays else "none", (), best.probability, left, strain, ())
     # What stays of the discrepancy's variance is something else's, whatever the names gain.
     kept = 1.0 - min(left, 1.0) ** 2
-    if known and left > c.HALF:
-        name = "unexplained"
-    else:
-        name = "partial" if stays or strain > c.STRAINED or extreme else "explained"
+    name = "partial" if stays or strain > c.STRAINED or extreme else "explained"
+    name = nameless if known and left > c.HALF else name
     odds = {frozenset(h.effects): h.log_odds for h in found.hypotheses}
     without = {n: odds.get(frozenset(best.effects) - {n}, -np.inf) for n in best.effects}
     named = sorted(without, key=without.__getitem__)
     causes = tuple(_cause(library, found, effect, kept) for effect in named)
     other = 1.0 - kept * (1.0 - found.null.probability)
-    return Verdict(name, causes if name != "unexplained" else (), other, left, strain, extreme)
+    return Verdict(name, () if name == nameless else causes, other, left, strain, extreme)
 
 
 def _left(found: Findings) -> float:

@@ -16,6 +16,7 @@ from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, m
 from steerd.sysid.estimation import outcome, validation
 from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.command_timing import time_commands
+from steerd.sysid.inference import constants as c
 from steerd.sysid.inference import plain_car
 from steerd.sysid.inference.car_fit import Stated, choose_start, fit_car
 from steerd.sysid.inference.plain_car import Asked, PlainCar
@@ -204,7 +205,7 @@ def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outco
     if not (arrived := sorted((e for e in ends if e), key=lambda end: end.point.cost)):
         return None
     best, *others = arrived
-    near = [e for e in others if e.point.cost - best.point.cost < prep.COMPARABLE]
+    near = [e for e in others if e.point.cost - best.point.cost < c.RULED_OUT]
     doubts = _doubts(drives)
     found, *alike = (outcome.fit_of_plain(end, runs, asked, doubts) for end in (best, *near))
     estimates = prep.mark_ambiguous(found.estimates, [other.estimates for other in alike])

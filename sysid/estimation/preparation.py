@@ -196,8 +196,6 @@ _HELD = 0.3  # weight of a bias of zero: what steady commands explain is not wha
 _LARGE = 0.3
 """Curvatures that are off by more than this share of the sharpest bend's count for less."""
 _STEPS = 10
-COMPARABLE = 12.5
-"""Ends whose log-likelihoods differ by less (5 standard deviations) explain drives as well."""
 _REARWARD = 0.7  # one candidate's centre of gravity lies closer to the rear axle by this factor
 _LATER, _QUICKER = 0.02, 0.6
 """Another's servo waits so much longer [s], and then follows faster by this factor."""

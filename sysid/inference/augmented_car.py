@@ -5,15 +5,14 @@ parameters of this one car are free: one compilation serves all candidates and a
 
 Two things beyond the car's values travel from `identify` to `diagnose`, in the file beside the car
 file. The joint covariance of the base's coordinates: lengths, gains and inertia move together, and
-an effect must not be named for what the base's own uncertainty covers. And the model discrepancy:
-by how much errors exceed the noise where the car corners hard (Kennedy and O'Hagan, 2001, as a
-variance by regime), so that a base that is not good enough there cannot accuse.
+an effect must not be named for what the base's own uncertainty covers. And what the model misses of
+the healthy drives themselves, as a size of the discrepancy and as what each effect explains there.
 """
 
 # Why: docs/decisions/diagnosis.md#d30
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,12 +33,6 @@ Array = NDArray[np.float64]
 
 NO_SLIP = 1e6
 """Slip stiffness of wheels that turn as fast as the ground passes, to a tenth of a millimetre."""
-EDGES: tuple[float, ...] = (1.0, 2.0, 3.0, 4.5, 6.0)
-"""Bins of the windows' mean lateral acceleration [m/s^2]; the last is open."""
-WINDOWS_MIN = 4
-"""A bin with fewer windows says nothing of its own."""
-EXCESS_MAX = 25.0
-"""No regime is trusted less than this."""
 
 
 class Control(NamedTuple):
@@ -62,11 +55,12 @@ class BasePrior:
     # Of the base's free parameters, in the order of the coordinates (see `chart`)
     names: tuple[str, ...]
     covariance: Array  # (n, n) of the coordinates
-    # (len(EDGES) + 1,) squared error over noise by lateral acceleration, 1 or more
-    excess: tuple[float, ...] = (1.0,) * (len(EDGES) + 1)
     # The parameters' values that the covariance lies about, empty: the base's own
     values: tuple[float, ...] = ()
     controls: tuple[Control, ...] = ()  # what the healthy drives show of effects
+    size: float = 0.0  # of the discrepancy that the healthy drives leave
+    # Coordinates of limits, by name, below which the healthy drives rule them out
+    least: Mapping[str, float] = field(default_factory=dict)
 
     def part(self, names: Sequence[str]) -> Array:
         """Covariance of some of the coordinates, in this order."""
@@ -92,29 +86,6 @@ def inflate_each(covariance: Array, pulls: Array) -> Array:
     return np.asarray(covariance * np.outer(wider, wider))
 
 
-def excess_by_regime(ratio: Array, lateral: Array) -> tuple[float, ...]:
-    """How much larger than noise errors are, by lateral acceleration; it never falls.
-
-    Args:
-        ratio: (W,) whitened squared error per degree of freedom of healthy windows; 1 is noise.
-        lateral: (W,) mean lateral acceleration of each [m/s^2].
-    """
-    place = np.digitize(lateral, EDGES)
-    count = np.bincount(place, minlength=len(EDGES) + 1)
-    hardest = max(np.flatnonzero(count >= WINDOWS_MIN), default=0)
-    found, level = [], 1.0
-    for regime in range(len(EDGES) + 1):
-        mine = ratio[place == regime]
-        if len(mine) >= WINDOWS_MIN:
-            level = max(level, float(np.expm1(np.log1p(np.minimum(mine, 1e6)).mean())))
-        elif regime > hardest:
-            # Nobody drove so: what the model leaves grows at least with the square of the force.
-            low = EDGES[regime - 1]
-            level *= (EDGES[regime] / low) ** 2 if regime < len(EDGES) else 2.0
-        found.append(min(level, EXCESS_MAX))
-    return tuple(found)
-
-
 def knowledge_section(known: BasePrior) -> dict[str, Any]:
     """The table `knowledge` of the file beside a car file: names, deviations, correlations."""
     sd = np.sqrt(np.diag(known.covariance))
@@ -124,7 +95,6 @@ def knowledge_section(known: BasePrior) -> dict[str, Any]:
         "names": list(known.names),
         "sd": [float(f"{v:.6g}") for v in sd],
         "correlation": rows,
-        "excess": [round(v, 3) for v in known.excess],
         "values": [float(f"{v:.9g}") for v in known.values],
         "controls": {
             one.effect: [
@@ -134,6 +104,8 @@ def knowledge_section(known: BasePrior) -> dict[str, Any]:
             ]
             for one in known.controls
         },
+        "size": known.size,
+        "least": dict(known.least),
     }
 
 
@@ -156,23 +128,26 @@ def knowledge_of_section(table: Mapping[str, Any]) -> BasePrior | None:
         correlation = np.zeros((len(names),) * 2)
         for i, row in enumerate(rows):
             correlation[i, : i + 1] = row
-        excess = tuple(float(v) for v in table["excess"])
         values = tuple(float(v) for v in table["values"])
         controls = tuple(
             Control(str(name), np.array(own, float), np.array(spread, float), float(gain))
             for name, (own, spread, gain) in table.get("controls", {}).items()
         )
+        size = float(table.get("size", 0.0))
+        least = {str(name): float(v) for name, v in table.get("least", {}).items()}
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"[knowledge] is not what identify writes ({error})") from error
     correlation += np.tril(correlation, -1).T
-    shaped = len(rows) == len(sd) == len(values) == len(names) and len(excess) == len(EDGES) + 1
+    shaped = len(rows) == len(sd) == len(values) == len(names)
     shaped &= all(_is_control(one) for one in controls)
-    if not (shaped and np.isfinite(correlation).all() and (sd > 0.0).all()):
+    finite = np.isfinite([size, *least.values(), *correlation.flat]).all()
+    if not (shaped and finite and (sd > 0.0).all()):
         raise ValueError("[knowledge] is not what this version's identify writes: identify again")
     # Rounding may leave a tiny negative eigenvalue; a covariance has none.
     spectrum, axes = np.linalg.eigh(correlation)
     correlation = (axes * np.maximum(spectrum, 1e-8)) @ axes.T
-    return BasePrior(names, correlation * np.outer(sd, sd), excess, values, controls)
+    covariance = correlation * np.outer(sd, sd)
+    return BasePrior(names, covariance, values, controls, size, least)
 
 
 def _is_control(one: Control) -> bool:

@@ -23,7 +23,7 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import thinned
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.augmented_car import AugmentedCar, excess_by_regime, make_augmented_car
+from steerd.sysid.inference.augmented_car import AugmentedCar, make_augmented_car
 from steerd.sysid.inference.hypotheses import explain
 from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
@@ -235,36 +235,16 @@ def _learnt_noise(fitted: FittedCar) -> Noise:
 
 
 def _in_turn(fitted: FittedCar, runs: Sequence[Run], rounds: int) -> FittedCar:
-    """Noise and car, each given the other; then what regimes are allowed beyond the noise."""
+    """Noise and car, each given the other, the noise at last as large as what drives leave."""
     for _ in range(rounds):
         fitted = _again(fitted, _learnt_noise(fitted))
-    left = robust_mean(unweighed(fitted))
     should = noise_share(fitted.likelihood.predictor, float(estimate_noise(runs)[2]))
-    excess = excess_of(fitted)
-    weak = weak_knowledge(fitted.augmented, fitted.nuisance, fitted.shares)
-    known = replace(weak, excess=tuple(e / excess[0] for e in excess))
-    augmented = replace(fitted.augmented, knowledge=known)
-    predictor = replace(fitted.likelihood.predictor, augmented=augmented)
-    likelihood = replace(fitted.likelihood, predictor=predictor)
-    return _again(replace(fitted, likelihood=likelihood), calibrated(fitted.noise, left, should))
+    return _again(fitted, calibrated(fitted.noise, robust_mean(ratios(fitted)), should))
 
 
 def ratios(fitted: FittedCar) -> Array:
     """(W,) whitened squared errors per degree of freedom, no discrepancy allowed."""
     return with_size(fitted.likelihood, fitted.point, 0.0).at.ratio
-
-
-def unweighed(fitted: FittedCar) -> Array:
-    """(W,) the same without what regimes are allowed beyond the noise."""
-    return ratios(fitted) * fitted.likelihood.predictor.excess
-
-
-def excess_of(fitted: FittedCar, should: float = 1.0) -> tuple[float, ...]:
-    """How much larger than noise errors are by lateral acceleration, whatever they are weighed by.
-
-    Hard bends, in which the model misses most, shall not decide about values that gentle ones show.
-    """
-    return excess_by_regime(unweighed(fitted) / should, fitted.likelihood.predictor.lateral)
 
 
 def structure_names(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:

@@ -23,13 +23,14 @@ from steerd.car_model.effect import Effect
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import BasePrior, Control, inflate_each, knowledge_section
-from steerd.sysid.inference.car_fit import NOTHING, FittedCar, Stated, excess_of, fit_car, ratios
+from steerd.sysid.inference.car_fit import NOTHING, FittedCar, Stated, fit_car, ratios
 from steerd.sysid.inference.hypotheses import begin
 from steerd.sysid.inference.library import Library, slice_along
 from steerd.sysid.inference.noise import noise_section
 from steerd.sysid.inference.posterior import between_halves, design_effect, posterior_of
-from steerd.sysid.inference.residuals import blocks_of, robust_mean
+from steerd.sysid.inference.residuals import blocks_of
 from steerd.sysid.inference.search import Point, minimise
+from steerd.sysid.inference.space import LIMITS
 
 Array = NDArray[np.float64]
 
@@ -50,6 +51,7 @@ SLIDING, HARD, SLOW = 0.35, 6.0, 0.5
 MOVED, FORWARD = "marker_offset", "marker_offset.forward"
 """The effect of a mocap body that is elsewhere on the car, and how far ahead that is."""
 _NAMED = 3
+_HALVINGS = 6
 _BY_CHANCE = 1.0
 """What an effect of two parameters gains by chance [nats]."""
 
@@ -213,10 +215,31 @@ def knowledge_of(fitted: FittedCar) -> BasePrior:
         np.maximum(between_halves(fitted.likelihood, point, blocks) / np.diag(covariance), 1.0)
     )
     covariance = covariance * np.outer(wider, wider)
-    excess = excess_of(fitted, robust_mean(ratios(fitted)))
     p, names = point.parameters, fitted.augmented.kernels.names
     values = tuple(float(p[names.index(name)]) for name in fitted.nuisance)
-    return BasePrior(fitted.nuisance, covariance, excess, values)
+    least = least_limits(fitted)
+    return BasePrior(fitted.nuisance, covariance, values, size=point.size, least=least)
+
+
+def least_limits(fitted: FittedCar) -> dict[str, float]:
+    """Coordinates of limits, by name, below which the drives rule them out.
+
+    Of a limit that nothing met no curvature says how low it may be: its prior's width would let a
+    later base take for its own what these drives went beyond.
+    """
+    point, likelihood, found = fitted.point, fitted.likelihood, dict[str, float]()
+    highest = point.cost + c.RULED_OUT * design_effect(likelihood, point.size)
+    for i, name in enumerate(point.space.chart.free):
+        if name in LIMITS:
+            out, z = float(point.space.low[i]), point.z.copy()
+            for _ in range(_HALVINGS):
+                inside, z[i] = z[i], 0.5 * (out + z[i])
+                error, _ = likelihood.predictor.errors(point.space.chart.parameters(z), point.x)
+                loss = likelihood.reduce(point.weighed, error, point.x).loss.sum()
+                if loss + point.space.prior_cost(z) > highest:
+                    out, z[i] = float(z[i]), inside
+            found[name] = out
+    return found
 
 
 def learn_controls(fitted: FittedCar, known: BasePrior) -> tuple[Control, ...]:

@@ -1,8 +1,8 @@
 """Every number that decides, in one place.
 
 Calibrated on the development list of `benchmarks/foreign_cars` (nonce 20261124: 72 cases of 12 cars
-on three simulators); `GAP_ODDS` and `LOUDEST` on 135 opened cases (sets 21 and 22, a development
-list), before set 23 was drawn to judge them. Tolerances of arithmetic stay in their modules.
+on three simulators); `GAP_ODDS` and `LOUDEST` on 135 opened cases (sets 21 and 22), before set 23
+was drawn to judge them; `RULED_OUT` on sets 28 to 31. Tolerances stay in their modules.
 """
 
 GAP_ODDS = 5.0
@@ -52,6 +52,8 @@ gain in those: where a gap is large, any change along a gradient promises more."
 MODEL_ERROR, MODEL_ERROR_FORCES = 0.04, 0.12
 """Standard error that a wrong model adds per value or change, whichever is less; the second to a
 force on the car. Without it 90 % intervals hold 75 % of 153 values of sets 21 to 23, with it 89."""
+RULED_OUT = 12.5
+"""Values that are less likely by so much (5 standard deviations) are none of this car's [nats]."""
 CHANCE = 0.05
 """An effect that chance takes as far from its null this often is left out of the car file."""
 COG_PLACE = 0.035

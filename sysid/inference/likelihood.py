@@ -139,6 +139,12 @@ class Likelihood:
         return np.asarray(self.predictor.padded.there.sum(axis=1) - FREE_STATES)
 
     @property
+    def left(self) -> float:
+        """Size of the discrepancy that the car's own healthy drives leave; no less is allowed."""
+        known = self.predictor.augmented.knowledge
+        return 0.0 if known is None else known.size
+
+    @property
     def precision(self) -> Array:
         """(W, D) precision of each reading given all others, no discrepancy allowed."""
         return np.asarray((self.rotation**2).sum(axis=1))
@@ -213,7 +219,7 @@ class Likelihood:
 
     def best_size(self, at: Rotated, error: Array, x: Array, least: float = 0.0) -> float:
         """The size of `SIZES` under which these errors are most likely, `least` at least."""
-        sizes = SIZES[min(least, SIZES[-1]) - 1e-12 <= SIZES]
+        sizes = SIZES[min(max(least, self.left), SIZES[-1]) - 1e-12 <= SIZES]
         best, lowest, row = float(sizes[-1]), np.inf, self.rotate_error(error)
         alone = at._replace(by_z=at.by_z[:, :, :0])
         for size in sizes:
@@ -250,9 +256,8 @@ def make_likelihood(predictor: Predictor, parameters: Array, x: Array, noise: No
     """
     seen = responses(predictor, parameters, x, (0, 1, 2))
     slip = slip_shape(predictor, predictor.errors(parameters, x)[0])
-    excess = predictor.excess[:, None, None]
-    healthy = excess * covariance(predictor, noise, [*shapes(seen), slip])
-    instruments = excess * covariance(predictor, noise)
+    healthy = covariance(predictor, noise, [*shapes(seen), slip])
+    instruments = covariance(predictor, noise)
     pushes = zip(c.DISCREPANCY, shapes(seen, c.DISCREPANCY_MEMORY), strict=True)
     unknown = sum(size**2 * shape for size, shape in pushes)
     there = predictor.padded.there

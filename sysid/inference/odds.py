@@ -76,14 +76,14 @@ def _posterior(library: Library, point: Point, temper: float, lowest: Point) -> 
 
     A car that nearly spins multiplies any small change: a few such seconds shall not show a cause.
     They count as much as the next loudest (a Winsorised sum: Tukey, The Future of Data Analysis,
-    1962); of a cause that acts in one place, which few windows see, one does. Nor shall one window
-    decide between causes: the loudest on either side does not count.
+    1962); of a cause that acts in one place or at a limit, which few windows see, one does. Nor
+    shall one window decide between causes: the loudest on either side does not count.
     """
     posterior = posterior_of(point, temper)
     behind = np.sort(point.at.loss - lowest.at.loss)
     few, louder = max(1, round(c.LOUDEST * len(behind))), float(behind[[0, -1]].sum())
     if set(point.space.effects) < set(lowest.space.effects):
-        few = 1 if any(library.effect(name).scan for name in lowest.space.effects) else few
+        few = 1 if any(library.effect(n).zero_gradient for n in lowest.space.effects) else few
         louder = float((behind[-few:] - behind[-few - 1 :][0]).sum())
     return replace(posterior, evidence=posterior.evidence + louder / temper)
 

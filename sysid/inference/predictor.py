@@ -36,7 +36,7 @@ from steerd.sysid.data.windows import (
     take_windows,
     thinned,
 )
-from steerd.sysid.inference.augmented_car import EDGES, AugmentedCar
+from steerd.sysid.inference.augmented_car import AugmentedCar
 from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
@@ -155,14 +155,6 @@ class Predictor:
             if len(t) > 1:
                 turned[w] = np.abs(np.diff(yaw)).sum() / max(t[-1] - t[0], 1e-3)
         return np.asarray(self.pace * turned)
-
-    @property
-    def excess(self) -> Array:
-        """(W,) how much larger than noise healthy errors are where the car corners so hard."""
-        known = self.augmented.knowledge
-        if known is None:
-            return np.ones(self.layout.count)
-        return np.array(known.excess)[np.digitize(self.lateral, EDGES)]
 
     def pad(self, rows: Array) -> Array:
         """(R, ...) rows as (W, D, ...), zero where there is none."""

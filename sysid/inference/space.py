@@ -172,6 +172,9 @@ def make_space(
         spread = BOX * np.sqrt(np.diag(covariance))[: len(base)]
         low[: len(base)] = np.maximum(low[: len(base)], (centre[: len(base)] - spread))
         high[: len(base)] = np.minimum(high[: len(base)], (centre[: len(base)] + spread))
+    else:
+        for i, name in enumerate(base):
+            low[i] = max(low[i], augmented.knowledge.least.get(name, -np.inf))
     width = range(len(base), len(centre))
     covariance[width, width] += (EFFECT_WIDER * chart.spread[len(base) :]) ** 2
     precision = np.asarray(np.linalg.inv(covariance))

@@ -153,12 +153,11 @@ wheels = st.floats(-0.4, 0.4)
 accels = st.floats(-5.0, 5.0)
 orders = st.builds(Command, st.floats(-0.5, 0.5), st.floats(-0.5, 4.0))
 drives = st.lists(orders, min_size=5, max_size=25)
-STEP = 0.005
 
 
 def run(car, first, drive, chassis=SINGLE_TRACK):
     model = Model(car, chassis=chassis)
-    return [m.state for m in simulate(FLOAT, model, start(model, first, 0.0), drive, STEP)]
+    return [m.state for m in simulate(FLOAT, model, start(model, first, 0.0), drive, 0.005)]
 
 
 @repeatable

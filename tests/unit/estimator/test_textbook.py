@@ -83,7 +83,6 @@ def test_same_estimate_as_the_textbook(simulate, run_filter, seed):
 
 
 # The motion between measurements: the implicit midpoint, its derivatives, its noise.
-QUIET = [0.0] * 7
 STATES = [
     State(1.0, -2.0, 0.7, 2.0, 1.1, -0.04, 0.12), State(0.0, 0.0, -3.0, 0.35, -0.3, 0.05, -0.2),
     State(0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.1), State(5.0, 1.0, 9.0, 4.5, -2.0, 0.02, -0.05),
@@ -110,7 +109,7 @@ def test_step_is_the_implicit_midpoint_of_the_whole_jacobian(chassis, state):
     F[:6, 3] += h * W @ J[:, 7] * driven.accel_by_speed
     F[:6, 6] = h * W @ J[:, 6] * driven.wheel_by_steer
     F[6, 6] = driven.steer_by_steer
-    mean, transition, _ = make_reference(chassis).propagate(state, driven, QUIET, h)
+    mean, transition, _ = make_reference(chassis).propagate(state, driven, [0.0] * 7, h)
     np.testing.assert_allclose(transition, F, rtol=1e-11, atol=1e-13)
     np.testing.assert_allclose(mean[:6], np.array(state[:6]) + h * W @ rates, rtol=1e-12)
     assert mean[6] == driven.steer

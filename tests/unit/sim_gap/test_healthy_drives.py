@@ -60,6 +60,31 @@ def test_other_drives_of_the_same_car_have_no_gap(learnt, drive):
     assert told.verdict == "none"
 
 
+def test_a_base_takes_no_limit_for_its_own_that_its_drives_went_beyond(learnt, drive):
+    """However wide its standard error: nothing meets a limit until the car accelerates so hard."""
+    known, gains = learnt.sections["knowledge"], []
+    assert 3.0 < known["least"]["accel_max"] < DEFAULT_CAR.accel_max
+    later = drive("accel_limit=2.6", runs=4, seconds=6.0, seed=4, wheel_sd=0.001)
+    for least in (known["least"], {}):
+        table = {"knowledge": {**known, "least": least}}
+        car = replace(learnt, sections={**learnt.sections, **table})
+        told = diagnose(Case(later, car, GapOptions(pairs=False), horizons=False))
+        gains.append({name: gain for name, _, gain in told.candidates}["accel_limit"])
+    assert gains[0] > 10.0 * gains[1]
+
+
+def test_a_base_that_does_not_hold_its_own_drives_names_only_what_is_larger(drive, base):
+    """Two drives with a brake that drags and two without: no one car makes them all."""
+    dragging = drive("rolling_drag=2.5,steer_bias=0.03", runs=2, seed=4)
+    poor = refine(base, [*drive("", runs=2, seed=3), *dragging])
+    for hidden, causes in (("", []), ("steer_gain=0.6", ["steer_gain"])):
+        later = drive(hidden, seconds=6.0, seed=6)
+        told = diagnose(Case(later, poor, GapOptions(pairs=False), horizons=False))
+        assert [cause.effect for cause in told.causes] == causes
+        assert causes or told.verdict == "unjudged"
+        assert any("does not hold the drives" in note for note in told.notes)
+
+
 def test_where_the_body_is_and_the_centre_of_gravity_are_known_less_well_together(drive, base):
     found = refine(base, drive("marker_offset=0.03", runs=4, seconds=6.0, seed=3))
     for name in ("lf", "lr"):

@@ -132,9 +132,10 @@ AT = 30.2
 
 
 def test_the_base_is_known_as_its_track_says_and_no_better(reference, track):
-    """Where healthy drives left more than noise, it does too."""
-    excess, n = (1.0, 1.0, 2.0, 3.0, 4.0, 5.0), reference.space.nuisance
-    fitted = BasePrior(reference.space.chart.free[:n], track.covariance, excess)
+    """What healthy drives left or ruled out, its windows leave and rule out too."""
+    n, ruled_out = reference.space.nuisance, {"accel_max": 3.0}
+    names = reference.space.chart.free[:n]
+    fitted = BasePrior(names, track.covariance, size=0.4, least=ruled_out)
     car = replace(reference, augmented=replace(reference.augmented, knowledge=fitted))
     moved = replace(track, pull=track.information @ np.full(n, 1e-4))
     base = believed(car, moved)
@@ -142,8 +143,9 @@ def test_the_base_is_known_as_its_track_says_and_no_better(reference, track):
     widened = np.sqrt(np.diag(space.covariance) / np.diag(track.covariance))
     assert (widened >= 1.0 - 1e-6).all()
     np.testing.assert_allclose(space.centre - reference.space.centre[:n], 1e-4)
-    assert base.knowledge.excess == excess
-    assert believed(reference, track).knowledge.excess == (1.0,) * len(excess)
+    assert (base.knowledge.size, base.knowledge.least) == (0.4, ruled_out)
+    unknown = believed(reference, track).knowledge
+    assert (unknown.size, unknown.least) == (0.0, {})
 
 
 def test_windows_that_no_car_drove_say_nothing(reference, track):

@@ -23,7 +23,7 @@ AUGMENTED = SimpleNamespace(
     values=lambda name: EFFECTS[name].nulls,
 )
 PREDICTOR = SimpleNamespace(augmented=AUGMENTED)
-LIKELIHOOD = SimpleNamespace(predictor=PREDICTOR)
+LIKELIHOOD = SimpleNamespace(predictor=PREDICTOR, left=0.0)
 LIBRARY = SimpleNamespace(effect=EFFECTS.get, likelihood=LIKELIHOOD, controls={})
 
 

@@ -1,7 +1,5 @@
 """What a covariance says of parameters: what is identifiable, and why the rest is not."""
 
-import itertools
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -148,17 +146,18 @@ NAMES = ("lf", "lr", "steer_gain", "scrub.drag")
 
 def known(seed: int = 0) -> augmented_car.BasePrior:
     root = np.random.default_rng(seed).standard_normal((4, 6)) * [[1e-3], [2e-3], [0.01], [0.3]]
-    excess = (1.0, 1.0, 1.2, 1.5, 2.0, 4.0)
     values, covariance = np.array([1e-3, -2e-3, 0.1]), np.diag([1e-6, 2e-6, 0.1])
     slope = augmented_car.Control("floor_slope", values, covariance, 0.02)
-    return augmented_car.BasePrior(NAMES, root @ root.T, excess, (0.16, 0.17, 1.01, 0.2), (slope,))
+    values, left = (0.16, 0.17, 1.01, 0.2), (0.3, {"accel_max": 3.2})
+    return augmented_car.BasePrior(NAMES, root @ root.T, values, (slope,), *left)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_what_is_known_survives_the_car_file(seed: int) -> None:
     before = known(seed)
     after = augmented_car.knowledge_of_section(augmented_car.knowledge_section(before))
-    assert (after.names, after.values, after.excess) == (before.names, before.values, before.excess)
+    for name in ("names", "values", "size", "least"):
+        assert getattr(after, name) == getattr(before, name)
     sd = np.sqrt(np.diag(before.covariance))
     away = np.abs(after.covariance - before.covariance) / np.outer(sd, sd)
     assert away.max() < 2e-5
@@ -169,36 +168,21 @@ def test_what_is_known_survives_the_car_file(seed: int) -> None:
     np.testing.assert_allclose(other.covariance, one.covariance)
 
 
-@pytest.mark.parametrize("key", ["names", "sd", "correlation", "excess", "values"])
+@pytest.mark.parametrize("key", ["names", "sd", "correlation", "values"])
 def test_a_damaged_section_is_refused(key: str) -> None:
     table = augmented_car.knowledge_section(known())
     for damaged in ({k: v for k, v in table.items() if k != key}, {**table, key: "?"}):
         with pytest.raises(ValueError, match="knowledge"):
             augmented_car.knowledge_of_section(damaged)
-    for controls in (
+    wrong = (
         {"nothing": [[0.0], [[1.0]], 0.1]}, {"mass": [[0.0], [[-1.0]], 0.1]},
         {"mass": [[0.0, 1.0], [[1.0]], 0.1]}, {"mass": [[0.0], [[1.0]], np.nan]}, "?",
-    ):  # fmt: skip
+    )  # fmt: skip
+    others = {"size": np.nan}, {"least": {"accel_max": np.inf}}, {"least": 3.0}
+    for damaged in (*({"controls": each} for each in wrong), *others):
         with pytest.raises(ValueError, match="knowledge"):
-            augmented_car.knowledge_of_section({**table, "controls": controls})
+            augmented_car.knowledge_of_section({**table, **damaged})
     assert augmented_car.knowledge_of_section({}) is None
-
-
-@settings(deadline=None)
-@given(st.lists(st.tuples(st.floats(0.01, 500.0), st.floats(0.0, 12.0)), min_size=1, max_size=60))
-def test_excess_is_never_less_than_noise_and_never_falls(rows: list[tuple[float, float]]) -> None:
-    ratio, lateral = np.array(rows).T
-    found = augmented_car.excess_by_regime(ratio, lateral)
-    assert len(found) == len(augmented_car.EDGES) + 1
-    assert all(1.0 <= a <= b <= augmented_car.EXCESS_MAX for a, b in itertools.pairwise(found))
-
-
-def test_excess_is_learnt_where_the_model_fails() -> None:
-    lateral = np.concatenate([np.full(20, 0.5), np.full(20, 5.0)])
-    ratio = np.concatenate([np.full(20, 1.0), np.full(20, 6.0)])
-    found = augmented_car.excess_by_regime(ratio, lateral)
-    assert (found[0], found[4]) == (pytest.approx(1.0), pytest.approx(6.0))
-    assert found[5] > found[4]  # nobody drove so hard: no better than where somebody did
 
 
 # The step within bounds.

@@ -10,14 +10,12 @@ from steerd.sysid.inference.noise import covariance, learn_noise, shapes, slip_s
 from steerd.sysid.inference.search import stand, with_size
 from tests.unit.sysid.inference.conftest import NOISE
 
-BODY = (0, 1, 2)
-
 
 @pytest.fixture(scope="module")
 def dense(healthy):
     """(W, D, D) covariances of healthy windows and of a discrepancy of size 1, 0 in padding."""
     parameters, x = healthy.augmented.base, healthy.guess
-    seen = responses(healthy, parameters, x, BODY)
+    seen = responses(healthy, parameters, x, (0, 1, 2))
     slip = slip_shape(healthy, healthy.errors(parameters, x)[0])
     own = covariance(healthy, NOISE, [*shapes(seen), slip])
     pushes = shapes(seen, c.DISCREPANCY_MEMORY)

@@ -52,11 +52,8 @@ def test_evidence_of_a_linear_model_is_the_exact_marginal_likelihood(seed: int, 
     assert posterior_of(point, temper).evidence == pytest.approx(exact, rel=1e-6)
 
 
-SEEDS = st.integers(0, 10**6)
-
-
 @settings(deadline=None, max_examples=60)
-@given(SEEDS, st.integers(1, 8), st.integers(0, 2), st.floats(1, 30))
+@given(st.integers(0, 10**6), st.integers(1, 8), st.integers(0, 2), st.floats(1, 30))
 def test_a_covariance_is_positive_definite(seed: int, n: int, flat: int, temper: float) -> None:
     point, _, _ = _linear(seed, n, min(flat, n))
     covariance = posterior_of(point, temper).covariance

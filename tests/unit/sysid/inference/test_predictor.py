@@ -59,11 +59,8 @@ def test_a_window_that_multiplies_changes_a_thousandfold_keeps_its_error_and_pul
     ("grip_drift", (0.3, 1.0)),
 ])  # fmt: skip
 def test_readings_without_derivatives_are_the_same_numbers(healthy, effect, values):
-    space, z, x = (
-        make_space(healthy.augmented, (), [effect]),
-        np.array(values),
-        healthy.guess.copy(),
-    )
+    space, z = make_space(healthy.augmented, (), [effect]), np.array(values)
+    x = healthy.guess.copy()
     x[:, 6] = 0.002
     alone, finite = healthy.errors(space.chart.parameters(z), x)
     assert finite
