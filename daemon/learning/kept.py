@@ -15,12 +15,16 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from steerd.car_model.car_file import CarFile
+from steerd.car_model.car_file import CarFile, default_car_path
+from steerd.daemon.assembly.build import RunPlan
+from steerd.daemon.assembly.session_meta import data_folder
 from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.screen import print_labelled
 from steerd.daemon.common.written import write_output, write_whole
 from steerd.daemon.learning.reported import describe_change, reported_changes, reported_values
 from steerd.steer_bus import messages as m
 from steerd.toml_text import parse_toml
+from steerd.version import VERSION
 
 METADATA = "steerd.learner"  # of a session whose learner began with an earlier drive's numbers
 SIZE_MAX = 100_000  # a kept page is small; what is larger is something else [bytes]
@@ -120,6 +124,47 @@ def recall(kept: Kept, about: About, now_ns: int) -> str:
         raise KeptError("is from the future; set this machine's clock (`date`)")
     days = max(now_ns - kept.written_ns, 0) / DAY_NS
     return json.dumps({"days": days, "values": kept.values}, separators=(",", ":"))
+
+
+class LearnerMemory(NamedTuple):
+    """Where a run's learner keeps what it learns, and what it begins with."""
+
+    page: str = ""  # the file; empty for simulated hardware, whose numbers are no car's
+    about: About = About("", "", "", "")  # of what it is
+    memory: str = ""  # JSON of what it begins with, empty for the car file alone
+    # Whether a page is there that cannot be used; it is not overwritten but moved aside
+    refused: bool = False
+    metadata: dict[str, dict[str, str]] = {}  # what the session says of it  # noqa: RUF012
+
+
+def learnt_page(plan: RunPlan) -> Path:
+    """`car.learnt.toml` beside `car.toml`; for the car that steerd brings, in the data folder."""
+    path = plan.settings.file.path
+    if path == default_car_path():
+        return data_folder() / f"{plan.options.car}.learnt.toml"
+    return path.with_name(f"{path.stem}.learnt.toml")
+
+
+def recall_learnt(plan: RunPlan, session: Path, now_ns: int) -> LearnerMemory:
+    """What the run's learner begins with at a UNIX time; a page of no use is named on stderr."""
+    if not plan.options.learn or plan.options.simulated:
+        return LearnerMemory()
+    page, scaling = learnt_page(plan), plan.settings.scaling
+    numbers = digest_numbers(plan.settings.file, scaling.erpm_gain, scaling.erpm_offset)
+    about = About(plan.options.car, numbers, VERSION, session.name)
+    try:
+        with page.open("rb") as file:
+            data = file.read(SIZE_MAX + 1)
+        memory = recall(parse_kept(data), about, now_ns)
+    except FileNotFoundError:
+        return LearnerMemory(str(page), about)
+    except (OSError, KeptError) as error:
+        why = error if isinstance(error, KeptError) else f"cannot be read ({error.strerror})"
+        text = f"{page} {why}. The learner begins with the car file."
+        print_labelled("note: ", text, sys.stderr)
+        return LearnerMemory(str(page), about, refused=True)
+    metadata = {"file": page.name, "sha256": _digest(data), "memory": memory}
+    return LearnerMemory(str(page), about, memory, metadata={METADATA: metadata})
 
 
 @dataclass

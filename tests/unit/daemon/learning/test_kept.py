@@ -20,7 +20,6 @@ from steerd.daemon.learning.kept import DAY_NS, About, Keeper, KeptError, format
 from steerd.daemon.learning.reported import ReportedChange, ReportedValue, gap_text, pack
 from steerd.daemon.loop.adapting import REFUSED, make_design, make_no_design, read_design
 from steerd.daemon.process.bus_operator import read_model
-from steerd.daemon.process.children import learnt_page, recall_learnt
 from steerd.daemon.process.gateway import Gateway, run_gateway
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.daemon.terminal.dashboard import Dashboard
@@ -171,7 +170,7 @@ def plan(tmp_path):
 
 
 def recalled(plan, now_ns):
-    return recall_learnt(plan, plan.settings.file.path.with_name("next.mcap"), now_ns)
+    return kept.recall_learnt(plan, plan.settings.file.path.with_name("next.mcap"), now_ns)
 
 
 def keep(plan, report):
@@ -202,7 +201,7 @@ def test_what_one_run_keeps_the_next_begins_with(plan, report, capsys):
 def test_the_car_that_steerd_brings_is_kept_in_the_data_folder(plan, tmp_path, monkeypatch):
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
     own = make_plan(replace(plan.options, car_file=""))
-    assert learnt_page(own) == tmp_path / "state" / "car1.learnt.toml"
+    assert kept.learnt_page(own) == tmp_path / "state" / "car1.learnt.toml"
 
 
 @pytest.mark.parametrize("change", [{"learn": False}, {"simulated": True}])
@@ -215,7 +214,7 @@ def test_simulated_hardware_and_a_run_without_a_learner_keep_nothing(plan, repor
 
 def test_an_edited_car_file_begins_anew_and_nothing_is_lost(plan, report, capsys):
     keep(plan, report)
-    page, path = learnt_page(plan), plan.settings.file.path
+    page, path = kept.learnt_page(plan), plan.settings.file.path
     old, mass = page.read_text(), plan.settings.file.car.mass
     path.write_text(path.read_text().replace(f"mass = {mass}", "mass = 4.5"))
     edited = make_plan(plan.options)
@@ -232,7 +231,7 @@ def test_an_edited_car_file_begins_anew_and_nothing_is_lost(plan, report, capsys
 @pytest.mark.parametrize("said", ["car.learnt.toml is torn or was edited", "cannot be read"])
 def test_a_page_that_is_torn_or_cannot_be_read_is_named_and_left_out(plan, report, capsys, said):
     keep(plan, report)
-    page = learnt_page(plan)
+    page = kept.learnt_page(plan)
     if "torn" in said:
         page.write_bytes(page.read_bytes()[:-1])
     else:
