@@ -174,7 +174,7 @@ def make_space(
         high[: len(base)] = np.minimum(high[: len(base)], (centre[: len(base)] + spread))
     else:
         for i, name in enumerate(base):
-            low[i] = max(low[i], augmented.knowledge.least.get(name, -np.inf))
+            low[i] = max(low[i], min(augmented.knowledge.least.get(name, -np.inf), centre[i]))
     width = range(len(base), len(centre))
     covariance[width, width] += (EFFECT_WIDER * chart.spread[len(base) :]) ** 2
     precision = np.asarray(np.linalg.inv(covariance))
