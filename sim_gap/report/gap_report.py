@@ -257,7 +257,7 @@ def headline(found: Diagnosis) -> str:
         off = (
             f"the simulation is {short(1e3 * last.position.value)} mm off after {last.seconds:g} s"
         )
-        return f"These drives cannot be judged: {off}, and what was learnt as noise hides why."
+        return f"These drives cannot be judged: {off}, and errors as large were learnt as ordinary."
     if found.verdict == "unexplained" or not found.causes:
         return "There is a gap, and none of the known effects explains it."
     names = " and ".join(cause.effect for cause in found.causes)
