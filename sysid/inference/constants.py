@@ -2,12 +2,12 @@
 
 Calibrated on the development list of `benchmarks/foreign_cars` (nonce 20261124: 72 cases of 12 cars
 on three simulators); `GAP_ODDS` and `LOUDEST` on 135 opened cases (sets 21 and 22), before set 23
-was drawn to judge them; `RULED_OUT` on sets 28 to 31. Tolerances stay in their modules.
+was drawn to judge them; `RULED_OUT` and `FURTHER_ODDS` on sets 28 to 31. Tolerances stay in their modules.
 """
 
 GAP_ODDS = 5.0
 """Odds on a gap before a drive is seen: who asks why car and simulation differ has cause to."""
-FURTHER_ODDS = 10.0
+FURTHER_ODDS = 1000.0
 """Odds against each further cause, beside its share of the library."""
 KNOWN_WIDER = 2.0
 """Prior standard deviations of a base on another day per those that its healthy drives left."""

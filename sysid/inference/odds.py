@@ -102,12 +102,11 @@ def _controlled(
 ) -> dict[Names, float]:
     """Evidences that count no gain which healthy drives show as well.
 
-    A single cause gains what it does beyond its values in healthy drives. Without such values (its
-    derivative vanishes at its null) it gives up as much as any other may gain so, or counts with
-    the design effect of drives without controls, whichever leaves more. With that one counts every
-    further cause, beside the likeliest with one fewer: what a wrong name leaves is not what healthy
-    drives show. Posteriors `found` are tempered by `temper`, those `alone` by the design effect of
-    drives without controls; what is `shown` of points is added to.
+    Beside the likeliest hypothesis with one effect fewer, one gains what it does beyond its
+    effects' values in healthy drives. An effect without such values (its derivative vanishes at its
+    null) gives up as much as any other may gain so, or counts with the design effect of drives
+    without controls, whichever leaves more. Posteriors `found` are tempered by `temper`, those
+    `alone` by that design effect; what is `shown` of points is added to.
     """
     level: dict[Names, float] = {}
     for names in sorted(found, key=len):
@@ -116,12 +115,11 @@ def _controlled(
             level[names] = found[names].evidence
             continue
         best = max(fewer, key=lambda rest: level[rest])
-        name = min(names)
-        gain = alone[names].evidence - alone[best].evidence
-        if not best:
-            whole = found[names].evidence - found[best].evidence
-            whole -= _healthy_gain(library, found[best].point, name, temper, shown)
-            gain = whole if name in library.controls else max(gain, whole)
+        more, beside = names - best, found[best].point
+        whole = found[names].evidence - found[best].evidence
+        whole -= sum(_healthy_gain(library, beside, name, temper, shown) for name in more)
+        coarse = alone[names].evidence - alone[best].evidence
+        gain = whole if more <= library.controls.keys() else max(coarse, whole)
         level[names] = min(found[names].evidence, level[best] + gain)
     return level
 

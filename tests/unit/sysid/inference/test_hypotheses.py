@@ -186,7 +186,7 @@ def test_of_a_healthy_drive_the_base_alone_is_the_likeliest(fine):
 
 
 @pytest.mark.parametrize(("case", "more"), [("late", 1.0), ("both", c.FURTHER_ODDS)])
-def test_an_effect_costs_its_share_of_the_library_and_a_second_ten_times_more(case, more, request):
+def test_an_effect_costs_its_share_of_the_library_and_a_second_more(case, more, request):
     """Odds are the tempered evidence, less what a name costs before any data."""
     library, found = request.getfixturevalue(case)
     point = found.best.point
@@ -280,6 +280,20 @@ def test_what_healthy_drives_show_too_is_no_cause(slightly_late):
     library, points = slightly_late
     same, other = (_gain(_with_controls(library, _late_by(s)), points) for s in (0.012, 0.0))
     assert same < 0.0 < other
+
+
+def test_what_healthy_drives_show_too_is_no_second_cause(both):
+    """Nor is what one cause leaves and another of healthy size explains a second one."""
+    library, found = both
+    points = [found.null.point, found.best.point]
+    points += [h.point for h in found.hypotheses if h.effects == ("speed_scale",)]
+    odds = []
+    for seconds in (0.04, 0.0):
+        ranked = rank(_with_controls(library, _late_by(seconds, gain=99.0)), points)
+        odds.append({h.effects: h.log_odds for h in ranked})
+    assert odds[0]["speed_scale",] == odds[1]["speed_scale",]
+    least, most = (o[found.best.effects] - o["speed_scale",] for o in odds)
+    assert abs(least) < 0.1 * most
 
 
 def test_controls_only_take_away(slightly_late):
