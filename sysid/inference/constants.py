@@ -2,7 +2,8 @@
 
 Calibrated on the development list of `benchmarks/foreign_cars` (nonce 20261124: 72 cases of 12 cars
 on three simulators); `GAP_ODDS` and `LOUDEST` on 135 opened cases (sets 21 and 22), before set 23
-was drawn to judge them; `RULED_OUT` and `FURTHER_ODDS` on sets 28 to 31. Tolerances stay in their modules.
+was drawn to judge them; `RULED_OUT` and `FURTHER_ODDS` on sets 28 to 31. Tolerances stay in their
+modules.
 """
 
 GAP_ODDS = 5.0
