@@ -155,8 +155,9 @@ def _is_control(one: Control) -> bool:
     if one.effect not in EFFECTS or one.covariance.shape != (len(one.values),) * 2:
         return False
     finite = np.isfinite(one.values).all() and np.isfinite([*one.covariance.flat, one.gain]).all()
-    right = len(one.values) == len(EFFECTS[one.effect].parameters)
-    return bool(finite and right and (np.linalg.eigvalsh(one.covariance) > 0.0).all())
+    effect, spectrum = EFFECTS[one.effect], np.linalg.eigvalsh(one.covariance)
+    right = len(one.values) == len(effect.parameters)
+    return bool(finite and right and (effect.zero_gradient or (spectrum > 0.0).all()))
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import BasePrior, Control, inflate_each, knowledge_section
 from steerd.sysid.inference.car_fit import NOTHING, FittedCar, Stated, fit_car, ratios
-from steerd.sysid.inference.hypotheses import begin
+from steerd.sysid.inference.hypotheses import Candidate, begin, screen_effects
 from steerd.sysid.inference.library import Library, slice_along
 from steerd.sysid.inference.noise import noise_section
 from steerd.sysid.inference.posterior import between_halves, design_effect, posterior_of
@@ -259,8 +259,16 @@ def learn_controls(fitted: FittedCar, known: BasePrior) -> tuple[Control, ...]:
     library = Library(likelihood, fitted.nuisance, augmented.effects)
     base = minimise(likelihood, begin(library, (), (), fitted.point.x))
     temper = design_effect(likelihood, base.size, controlled=True)
-    found = (_control(library, base, effect, temper) for effect in augmented.effects)
-    return tuple(control for control in found if control is not None)
+    scanned = replace(library, effects=tuple(e for e in augmented.effects if e.zero_gradient))
+    found = [_scanned(library, look, temper) for look in screen_effects(scanned, base)]
+    linear = (_control(library, base, effect, temper) for effect in augmented.effects)
+    return (*found, *(control for control in linear if control is not None))
+
+
+def _scanned(library: Library, look: Candidate, temper: float) -> Control:
+    """What an effect gains whose derivative vanishes where it is: it stays there."""
+    here = np.array(library.likelihood.predictor.augmented.values(look.effect))
+    return _as_control(library, look.effect, here, np.zeros((len(here),) * 2), look.gain / temper)
 
 
 def _control(library: Library, base: Point, effect: Effect, temper: float) -> Control | None:
@@ -279,5 +287,11 @@ def _control(library: Library, base: Point, effect: Effect, temper: float) -> Co
     step = covariance @ (along.slope / temper + prior @ (space.centre[own] - here))
     away = np.clip(here + step, space.low[own], space.high[own]) - here
     gain = float(along.slope @ away - 0.5 * away @ along.curved @ away) / temper
-    per_window = (max(gain, 0.0) + _BY_CHANCE) / len(base.at.dof)
-    return Control(effect.name, here + step, covariance, per_window)
+    return _as_control(library, effect.name, here + step, covariance, gain)
+
+
+def _as_control(
+    library: Library, name: str, values: Array, covariance: Array, gain: float
+) -> Control:
+    per_window = (max(gain, 0.0) + _BY_CHANCE) / len(library.likelihood.dof)
+    return Control(name, values, covariance, per_window)

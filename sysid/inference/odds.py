@@ -1,8 +1,8 @@
 """What a hypothesis at its optimum is worth beside the others.
 
 The odds are evidence times prior odds. Where the base's healthy drives were kept as controls, an
-effect counts for what it gains over the base and over what healthy drives show of it, whichever is
-less: what a wrong model lets it explain, it explains in the healthy drives as well.
+effect counts for what it gains beyond what healthy drives show of it: what a wrong model lets it
+explain, it explains in the healthy drives as well.
 """
 
 # Why: docs/decisions/diagnosis.md#d117
@@ -20,13 +20,7 @@ from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import Control
 from steerd.sysid.inference.chart import places_of
 from steerd.sysid.inference.library import Library, Slice, slice_along
-from steerd.sysid.inference.posterior import (
-    Posterior,
-    design_effect,
-    log_mean,
-    log_share_beyond,
-    posterior_of,
-)
+from steerd.sysid.inference.posterior import Posterior, log_mean, log_share_beyond, posterior_of
 from steerd.sysid.inference.search import Point
 
 Array = NDArray[np.float64]
@@ -37,7 +31,7 @@ class Hypothesis:
     """Effects beside the base, at their optimum."""
 
     effects: tuple[str, ...]  # their names, in the order in which they were found
-    posterior: Posterior  # the optimum, its evidence and covariance
+    posterior: Posterior  # the optimum, its covariance, and of its evidence what counts
     log_odds: float  # of the hypothesis, not normalised [nats]
     probability: float = 0.0  # among all hypotheses that were brought to their optimum
 
@@ -52,94 +46,76 @@ def rank(
 ) -> list[Hypothesis]:
     """Hypotheses at their optima with their odds, the likeliest first.
 
-    The design effect is that under the discrepancy of the likeliest optimum, once for all.
+    Each counts for what it gains beside the likeliest of one effect fewer. The design effect is
+    that under the discrepancy of the likeliest optimum, once for all.
 
     Args:
         library: what may be a hypothesis.
         points: their optima.
         shown: kept from call to call: what was worked out of points that have not changed.
     """
-    lowest = min(points, key=lambda point: point.cost)
-    temper = library.design_effect(lowest.size)
-    found = {frozenset(p.space.effects): _posterior(library, p, temper, lowest) for p in points}
-    evidence = {names: posterior.evidence for names, posterior in found.items()}
-    if library.controls:
-        coarse = design_effect(library.likelihood, lowest.size)
-        alone = {frozenset(p.space.effects): _posterior(library, p, coarse, lowest) for p in points}
-        evidence = _controlled(library, found, alone, temper, {} if shown is None else shown)
-    ranked = [_judge(library, posterior, evidence[names]) for names, posterior in found.items()]
-    return sorted(ranked, key=lambda h: -h.log_odds)
+    temper = library.design_effect(min(points, key=lambda point: point.cost).size)
+    shown, counted = {} if shown is None else shown, list[Posterior]()
+    for found in sorted((posterior_of(p, temper) for p in points), key=_count):
+        evidence, fewer = found.evidence, [o for o in counted if _count(o) < _count(found)]
+        if fewer:
+            beside = max(fewer, key=lambda other: (_count(other), other.evidence))
+            gain = _counted_gain(library, beside.point, found, temper, shown)
+            evidence = beside.evidence + gain
+        counted.append(replace(found, evidence=evidence))
+    return sorted((_judge(library, found) for found in counted), key=lambda h: -h.log_odds)
 
 
-def _posterior(library: Library, point: Point, temper: float, lowest: Point) -> Posterior:
-    """An optimum's posterior, no window louder beside that of lowest cost than most are.
-
-    A car that nearly spins multiplies any small change: a few such seconds shall not show a cause.
-    They count as much as the next loudest (a Winsorised sum: Tukey, The Future of Data Analysis,
-    1962); of a cause that acts in one place or at a limit, which few windows see, one does. Nor
-    shall one window decide between causes: the loudest on either side does not count.
-    """
-    posterior = posterior_of(point, temper)
-    behind = np.sort(point.at.loss - lowest.at.loss)
-    few, louder = max(1, round(c.LOUDEST * len(behind))), float(behind[[0, -1]].sum())
-    if set(point.space.effects) < set(lowest.space.effects):
-        few = 1 if any(library.effect(n).zero_gradient for n in lowest.space.effects) else few
-        louder = float((behind[-few:] - behind[-few - 1 :][0]).sum())
-    return replace(posterior, evidence=posterior.evidence + louder / temper)
-
-
-Names = frozenset[str]
 Shown = dict[tuple[Point, str], Slice | None]
 """The cost along effects, by the hypothesis that they are added to."""
 
 
-def _controlled(
-    library: Library,
-    found: dict[Names, Posterior],
-    alone: dict[Names, Posterior],
-    temper: float,
-    shown: Shown,
-) -> dict[Names, float]:
-    """Evidences that count no gain which healthy drives show as well.
+def _count(found: Posterior) -> int:
+    return len(found.point.space.effects)
 
-    Beside the likeliest hypothesis with one effect fewer, one gains what it does beyond its
-    effects' values in healthy drives. An effect without such values (its derivative vanishes at its
-    null) gives up as much as any other may gain so, or counts with the design effect of drives
-    without controls, whichever leaves more. Posteriors `found` are tempered by `temper`, those
-    `alone` by that design effect; what is `shown` of points is added to.
+
+def _counted_gain(
+    library: Library, beside: Point, found: Posterior, temper: float, shown: Shown
+) -> float:
+    """What a hypothesis gains beside one of fewer effects, no few windows' and none of the model's.
+
+    No window is louder for it than most are, and what healthy drives show as well is left out.
     """
-    level: dict[Names, float] = {}
-    for names in sorted(found, key=len):
-        fewer = [rest for rest in level if len(rest) == len(names) - 1]
-        if not fewer:
-            level[names] = found[names].evidence
-            continue
-        best = max(fewer, key=lambda rest: level[rest])
-        more, beside = names - best, found[best].point
-        whole = found[names].evidence - found[best].evidence
-        whole -= sum(_healthy_gain(library, beside, name, temper, shown) for name in more)
-        coarse = alone[names].evidence - alone[best].evidence
-        gain = whole if more <= library.controls.keys() else max(coarse, whole)
-        level[names] = min(found[names].evidence, level[best] + gain)
-    return level
+    added = set(found.point.space.effects) - set(beside.space.effects)
+    gains = beside.at.loss - found.point.at.loss
+    few = _winsorised(gains, any(library.effect(n).zero_gradient for n in added))
+    gain = found.evidence - posterior_of(beside, temper).evidence - (gains - few).sum() / temper
+    if library.controls:
+        gain -= sum(_healthy_gain(library, beside, name, temper, shown) for name in added)
+    return float(gain)
+
+
+def _winsorised(gains: Array, local: bool) -> Array:
+    """Windows' gains, none louder than most are (Tukey, The Future of Data Analysis, 1962).
+
+    A car that nearly spins multiplies any small change: a few such seconds shall not show a cause.
+    They count as much as the next loudest; of a cause that is `local`, acts in one place or at a
+    limit, which few windows see, one does.
+    """
+    few = 1 if local else max(1, round(c.LOUDEST * len(gains)))
+    return np.asarray(np.minimum(gains, np.sort(gains)[-few - 1 :][0]))
 
 
 def _healthy_gain(library: Library, point: Point, name: str, temper: float, shown: Shown) -> float:
     """What an effect gains beside a hypothesis by being as healthy drives show it [nats].
 
-    One without values there: the most that any other may gain so.
+    Where no derivative shows it: the most that it may gain so.
     """
-    if name not in library.controls:
-        return max(shown_most(library, control) for control in library.controls.values())
+    control = library.controls.get(name) or max(library.controls.values(), key=lambda o: o.gain)
+    most = shown_most(library, control)
     if (point, name) not in shown:
         shown[point, name] = slice_along(library, point, library.effect(name))
     along = shown[point, name]
     if along is None:
-        return 0.0
-    control = library.controls[name]
+        return most
     away = control.values - along.values
     gain = log_mean(along.curved / temper, along.slope / temper, away, control.covariance)
-    return min(max(gain, 0.0), shown_most(library, control))
+    return min(max(gain, 0.0), most)
 
 
 def shown_most(library: Library, control: Control) -> float:
@@ -154,13 +130,13 @@ def price(library: Library, count: int) -> float:
     return float(names + (count - 1) * np.log(c.FURTHER_ODDS) - gap) if count else 0.0
 
 
-def _judge(library: Library, posterior: Posterior, evidence: float) -> Hypothesis:
+def _judge(library: Library, posterior: Posterior) -> Hypothesis:
     """A hypothesis with its prior odds, and the probability that its effects matter.
 
     An effect that ends at its null is none, whatever the base gains by what is free with it.
     """
     effects = posterior.point.space.effects
-    odds = evidence - price(library, len(effects))
+    odds = posterior.evidence - price(library, len(effects))
     for name in effects:
         effect = library.effect(name)
         far, sd = size_of(library, posterior, effect)

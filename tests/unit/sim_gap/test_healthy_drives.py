@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from steerd.car_model.effects import EFFECTS
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sim_gap.diagnosis import Case, GapOptions, diagnose
 from steerd.sysid.inference.car_fit import Stated
@@ -96,6 +97,15 @@ def test_where_the_body_is_and_the_centre_of_gravity_are_known_less_well_togethe
 def _stamped_late(runs):
     late = [np.column_stack([r.commands[:, 0], np.roll(r.commands[:, 1], 1)]) for r in runs]
     return [replace(r, commands=c) for r, c in zip(runs, late, strict=True)]
+
+
+def test_what_healthy_drives_show_is_kept_of_every_effect(learnt, drive, base):
+    """Also of a slippery place, which has no derivative at its null and is in no car file."""
+    spot = refine(base, drive("grip_patch:x=3,radius=1,drop=0.5", runs=4, seconds=6.0, seed=3))
+    kept = [found.sections["knowledge"]["controls"] for found in (learnt, spot)]
+    assert set(kept[0]) == set(kept[1]) == set(EFFECTS)
+    gains = [controls["grip_patch"][2] for controls in kept]
+    assert 0.0 < gains[0] < 0.5 * gains[1]
 
 
 def test_a_later_dead_time_is_counted_from_one_that_would_be_below_zero(drive, base):
