@@ -14,8 +14,9 @@ from steerd.sysid.data.segments import SPEED_MIN
 WINDOW = 0.5
 """Length of a window [s]: some ten of the car's time constants, and a change shows soon."""
 LEAD = HISTORY + 0.1  # commands known before a window [s]; on the grid some of it is lost
+PAST = 2.0  # commands before a window that are kept, for what a linkage with play remembers [s]
 LATE = 0.06  # a window is closed when a pose this much younger has come: telemetry may lag [s]
-KEPT = LEAD + WINDOW + 1.0  # how long samples are kept [s]
+KEPT = PAST + WINDOW + 1.0  # how long samples are kept [s]
 
 
 class PoseSeen(NamedTuple):
@@ -104,24 +105,25 @@ def make_window(recent: Recent, start: float, ramp: float) -> Run | None:
     """
     end = start + WINDOW
     poses = [p for p in recent.poses if start <= p.t < end]
-    orders = [o for o in recent.orders if start - LEAD <= o.t < end + LATE]
+    orders = [o for o in recent.orders if start - PAST <= o.t < end + LATE]
     wheel = [w for w in recent.wheel if start <= w.t < end]
-    if len(poses) < 2 or not orders or not _driven(poses, orders):
+    lately = [abs(o.speed) for o in orders if o.t >= start - LEAD]
+    if len(poses) < 2 or not lately or not _driven(poses, min(lately)):
         return None
     seen, rolled = np.array(poses), np.array(wheel).reshape(-1, 2)
     t, steer, speed = np.array(orders).T
     pose, speeds = Signal(seen[:, 0], seen[:, 1:]), Signal(rolled[:, 0], rolled[:, 1])
     try:
         run = make_run(f"{start:.2f} s", Signal(t, steer), Signal(t, speed), pose, wheel=speeds)
-        return replace(run, servo_frame=SERVO_FRAME, speed_ramp=ramp)
+        return replace(run, servo_frame=SERVO_FRAME, speed_ramp=ramp, history=PAST)
     except DataError:
         return None
 
 
-def _driven(poses: list[PoseSeen], orders: list[Ordered]) -> bool:
-    """Whether commands and poses both say that the car moves throughout."""
+def _driven(poses: list[PoseSeen], slowest: float) -> bool:
+    """Whether commands, the `slowest` of them [m/s], and poses both say that the car moves."""
     first, last = poses[0], poses[-1]
     span = last.t - first.t
-    if span < 0.8 * WINDOW or min(abs(o.speed) for o in orders) < SPEED_MIN:
+    if span < 0.8 * WINDOW or slowest < SPEED_MIN:
         return False
     return hypot(last.x - first.x, last.y - first.y) > SPEED_MIN * span
