@@ -74,8 +74,7 @@ def _added(kept: tuple[S, ...], sample: S) -> tuple[S, ...]:
     oldest = sample.t - KEPT
     if kept and kept[0].t < oldest:
         kept = tuple(dropwhile(lambda each: each.t < oldest, kept))
-    newest: tuple[S] = (sample,)
-    return kept + newest
+    return (*kept, sample)
 
 
 def take(recent: Recent, sample: Sample) -> Recent:
@@ -122,8 +121,7 @@ def make_window(recent: Recent, start: float, ramp: float) -> Run | None:
 
 def _driven(poses: list[PoseSeen], slowest: float) -> bool:
     """Whether commands, the `slowest` of them [m/s], and poses both say that the car moves."""
-    first, last = poses[0], poses[-1]
-    span = last.t - first.t
+    first, last, span = poses[0], poses[-1], poses[-1].t - poses[0].t
     if span < 0.8 * WINDOW or slowest < SPEED_MIN:
         return False
     return hypot(last.x - first.x, last.y - first.y) > SPEED_MIN * span
