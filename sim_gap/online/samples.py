@@ -71,10 +71,8 @@ def _added(kept: tuple[S, ...], sample: S) -> tuple[S, ...]:
     """With one more; a sample that is no number or not newer than the last is left out."""
     if not all(map(isfinite, sample)) or (kept and sample.t <= kept[-1].t):
         return kept
-    oldest = sample.t - KEPT
-    if kept and kept[0].t < oldest:
-        kept = tuple(dropwhile(lambda each: each.t < oldest, kept))
-    return (*kept, sample)
+    newest: tuple[S] = (sample,)
+    return tuple(dropwhile(lambda each: each.t < sample.t - KEPT, kept)) + newest
 
 
 def take(recent: Recent, sample: Sample) -> Recent:
