@@ -202,7 +202,8 @@ def knowledge_of(fitted: FittedCar) -> BasePrior:
 
     Scores that vary more from block to block than noise makes them widen the errors (White, 1982):
     that is how a model that is wrong a little everywhere shows. So do estimates that vary more from
-    half to half: a curvature does not see where a likelihood with kinks, or a bent one, ends. The
+    half to half: a curvature does not see where a likelihood with kinks, or a bent one, ends. Where
+    a limit is ruled out is as many standard deviations away as it takes to rule a value out. The
     covariance is positive definite: a direction that the drives do not show keeps its prior's
     width.
     """
@@ -211,13 +212,15 @@ def knowledge_of(fitted: FittedCar) -> BasePrior:
     sums = np.zeros((int(blocks.max()) + 1, pulls.shape[1]))
     np.add.at(sums, blocks, pulls)
     covariance = inflate_each(posterior_of(point, 1.0).covariance, sums)
-    wider = np.sqrt(
-        np.maximum(between_halves(fitted.likelihood, point, blocks) / np.diag(covariance), 1.0)
+    least, halves = least_limits(fitted), between_halves(fitted.likelihood, point, blocks)
+    lowest = np.array(
+        [least.get(name, z) for name, z in zip(point.space.chart.free, point.z, strict=True)]
     )
+    wide = np.maximum(halves, (point.z - lowest) ** 2 / (2.0 * c.RULED_OUT))
+    wider = np.sqrt(np.maximum(wide / np.diag(covariance), 1.0))
     covariance = covariance * np.outer(wider, wider)
     p, names = point.parameters, fitted.augmented.kernels.names
     values = tuple(float(p[names.index(name)]) for name in fitted.nuisance)
-    least = least_limits(fitted)
     return BasePrior(fitted.nuisance, covariance, values, size=point.size, least=least)
 
 
