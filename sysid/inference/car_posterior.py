@@ -202,10 +202,9 @@ def knowledge_of(fitted: FittedCar) -> BasePrior:
 
     Scores that vary more from block to block than noise makes them widen the errors (White, 1982):
     that is how a model that is wrong a little everywhere shows. So do estimates that vary more from
-    half to half: a curvature does not see where a likelihood with kinks, or a bent one, ends. Where
-    a limit is ruled out is as many standard deviations away as it takes to rule a value out. The
-    covariance is positive definite: a direction that the drives do not show keeps its prior's
-    width.
+    half to half: a curvature does not see where a likelihood with kinks, or a bent one, ends; nor
+    is a limit surer than what rules out lower ones. The covariance is positive definite: a
+    direction that the drives do not show keeps its prior's width.
     """
     point, blocks = fitted.point, blocks_of(fitted.likelihood.predictor)
     pulls = point.at.weight[:, None] * point.at.g
@@ -213,9 +212,7 @@ def knowledge_of(fitted: FittedCar) -> BasePrior:
     np.add.at(sums, blocks, pulls)
     covariance = inflate_each(posterior_of(point, 1.0).covariance, sums)
     least, halves = least_limits(fitted), between_halves(fitted.likelihood, point, blocks)
-    lowest = np.array(
-        [least.get(name, z) for name, z in zip(point.space.chart.free, point.z, strict=True)]
-    )
+    lowest = [least.get(n, z) for n, z in zip(point.space.chart.free, point.z, strict=True)]
     wide = np.maximum(halves, (point.z - lowest) ** 2 / (2.0 * c.RULED_OUT))
     wider = np.sqrt(np.maximum(wide / np.diag(covariance), 1.0))
     covariance = covariance * np.outer(wider, wider)
