@@ -46,6 +46,7 @@ TABLE = [
     (f"{SIM} --speed nan", 2, "--speed nan: more than 0 m/s"),
     (f"{SIM} --speed 30", 4, "--speed: speed = 30.0: above 20.0 m/s"),
     (f"{SIM} --rate 5", 2, "--rate 5", "20 to 1000 Hz"),
+    (f"{SIM} --rate 1001", 2, "--rate 1001", "20 to 1000 Hz"),
     (f"{SIM} --name 'Car One'", 2, "Car One"),
     ("run --sim --fast", 2, "--duration"),
     ("run --fast", 2, "--sim"),

@@ -204,8 +204,7 @@ def _with_loss(point, window, more):
 def test_one_window_changes_no_odds_but_against_a_cause_it_counts(late):
     """A car that nearly spins multiplies any small change: one such second names no cause.
 
-    A cause that makes one window much worse is not the cause, whatever another makes of it. Windows
-    that speak alike all count.
+    A cause that makes one window much worse is none, whatever another does. Alike ones all count.
     """
     library, found = late
     best, null = found.best.point, found.null.point
