@@ -154,10 +154,11 @@ def _is_control(one: Control) -> bool:
     """Whether values and covariance are those of an effect of the library."""
     if one.effect not in EFFECTS or one.covariance.shape != (len(one.values),) * 2:
         return False
-    finite = np.isfinite(one.values).all() and np.isfinite([*one.covariance.flat, one.gain]).all()
-    effect, spectrum = EFFECTS[one.effect], np.linalg.eigvalsh(one.covariance)
-    right = len(one.values) == len(effect.parameters)
-    return bool(finite and right and (effect.zero_gradient or (spectrum > 0.0).all()))
+    effect, numbers = EFFECTS[one.effect], [*one.values, *one.covariance.flat, one.gain]
+    if len(one.values) != len(effect.parameters) or not np.isfinite(numbers).all():
+        return False
+    least = np.linalg.eigvalsh(one.covariance).min()
+    return bool(least > 0.0 or (effect.zero_gradient and least == 0.0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -290,8 +290,6 @@ def _control(library: Library, base: Point, effect: Effect, temper: float) -> Co
     return _as_control(library, effect.name, here + step, covariance, gain)
 
 
-def _as_control(
-    library: Library, name: str, values: Array, covariance: Array, gain: float
-) -> Control:
-    per_window = (max(gain, 0.0) + _BY_CHANCE) / len(library.likelihood.dof)
-    return Control(name, values, covariance, per_window)
+def _as_control(library: Library, name: str, at: Array, wide: Array, gain: float) -> Control:
+    """Values and their covariance, with a gain that chance is counted into, by window."""
+    return Control(name, at, wide, (max(gain, 0.0) + _BY_CHANCE) / len(library.likelihood.dof))

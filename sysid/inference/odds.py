@@ -55,15 +55,16 @@ def rank(
         shown: kept from call to call: what was worked out of points that have not changed.
     """
     temper = library.design_effect(min(points, key=lambda point: point.cost).size)
-    shown, counted = {} if shown is None else shown, list[Posterior]()
-    for found in sorted((posterior_of(p, temper) for p in points), key=_count):
-        evidence, fewer = found.evidence, [o for o in counted if _count(o) < _count(found)]
-        if fewer:
-            beside = max(fewer, key=lambda other: (_count(other), other.evidence))
-            gain = _counted_gain(library, beside.point, found, temper, shown)
-            evidence = beside.evidence + gain
-        counted.append(replace(found, evidence=evidence))
-    return sorted((_judge(library, found) for found in counted), key=lambda h: -h.log_odds)
+    shown, level = {} if shown is None else shown, dict[Point, float]()
+    found = sorted((posterior_of(point, temper) for point in points), key=_count)
+    for one in found:
+        level[one.point] = one.evidence
+        if fewer := [other for other in found if _count(other) < _count(one)]:
+            beside = max(fewer, key=lambda other: (_count(other), level[other.point]))
+            gain = _counted_gain(library, beside, one, temper, shown)
+            level[one.point] = level[beside.point] + gain
+    counted = (replace(one, evidence=level[one.point]) for one in found)
+    return sorted((_judge(library, one) for one in counted), key=lambda h: -h.log_odds)
 
 
 Shown = dict[tuple[Point, str], Slice | None]
@@ -75,19 +76,19 @@ def _count(found: Posterior) -> int:
 
 
 def _counted_gain(
-    library: Library, beside: Point, found: Posterior, temper: float, shown: Shown
+    library: Library, beside: Posterior, found: Posterior, temper: float, shown: Shown
 ) -> float:
     """What a hypothesis gains beside one of fewer effects, no few windows' and none of the model's.
 
     No window is louder for it than most are, and what healthy drives show as well is left out.
     """
-    added = set(found.point.space.effects) - set(beside.space.effects)
-    gains = beside.at.loss - found.point.at.loss
+    start, end = beside.point, found.point
+    added, gains = set(end.space.effects) - set(start.space.effects), start.at.loss - end.at.loss
     few = _winsorised(gains, any(library.effect(n).zero_gradient for n in added))
-    gain = found.evidence - posterior_of(beside, temper).evidence - (gains - few).sum() / temper
+    gain = found.evidence - beside.evidence - float((gains - few).sum()) / temper
     if library.controls:
-        gain -= sum(_healthy_gain(library, beside, name, temper, shown) for name in added)
-    return float(gain)
+        gain -= sum(_healthy_gain(library, start, name, temper, shown) for name in added)
+    return gain
 
 
 def _winsorised(gains: Array, local: bool) -> Array:

@@ -84,6 +84,7 @@ TABLE = [
     ("config --from-vesc-yaml {tmp}/no.yaml", 3, "no.yaml does not exist"),
     ("export {tmp}/pole.toml -o {tmp}/car.urdf", 2, "no format of that name"),
     ("keys {tmp}/lab --host ' '", 2, "--host is empty"),
+    ("keys {tmp}/lab --host 10.0.0.2 --car 'Car 1'", 2, "Car 1"),
     ("keys {tmp}/lab --host 10.0.0.2 --car ../car", 2, "../car"),
     ("keys {tmp}/lab --host 10.0.0.2 --car ''", 2, "car"),
     ("keys {tmp}/lab --operator new", 3, "lab.toml: No such file or directory"),

@@ -213,8 +213,7 @@ def test_one_window_changes_no_odds_but_against_a_cause_it_counts(late):
     assert rank(library, [best, alike])[0].log_odds == rank(library, [best])[0].log_odds
     usual = _gain(library, [best, null])
     loud, bad = int(gains.argmax()), int(gains.argmin())
-    more = _gain(library, [best, _with_loss(null, loud, 100.0)])
-    assert more == pytest.approx(usual, abs=1e-6)
+    assert _gain(library, [best, _with_loss(null, loud, 100.0)]) == pytest.approx(usual, abs=1e-6)
     assert _gain(library, [_with_loss(best, bad, 100.0), null]) < usual - 10.0
     other = next(h for h in found.hypotheses[1:] if len(h.effects) == 1)
     worse = [_with_loss(other.point, bad, 100.0), null]
@@ -281,11 +280,13 @@ def test_what_healthy_drives_show_too_is_no_cause(slightly_late):
 
 def test_what_healthy_drives_show_too_is_no_second_cause(both):
     library, found = both
-    single = ("speed_scale",)
-    points = [h.point for h in found.hypotheses if h.effects in ((), single, found.best.effects)]
-    known = (_with_controls(library, _late_by(s, gain=99.0)) for s in (0.04, 0.0))
-    least, most = (_gain(each, points, found.best.effects, single) for each in known)
+    pair, single, weak = found.best.effects, ("speed_scale",), ("steer_delay",)
+    by_name = {h.effects: h.point for h in found.hypotheses}
+    points = [by_name[()], by_name[single], by_name[pair]]
+    known = [_with_controls(library, _late_by(s, gain=99.0)) for s in (0.04, 0.0)]
+    least, most = (_gain(each, points, pair, single) for each in known)
     assert abs(least) < 0.1 * most
+    assert _gain(known[1], [*points, by_name[weak]], pair, single) == pytest.approx(most)
 
 
 def test_controls_only_take_away(slightly_late):
@@ -297,10 +298,7 @@ def test_controls_only_take_away(slightly_late):
 
 
 def test_a_clear_cause_loses_no_more_than_is_usual(late):
-    """A large gap promises much along any gradient; between clear causes the evidence decides.
-
-    Also of an effect of which an older file says nothing.
-    """
+    """A large gap promises much along any gradient, also one of which an older file is silent."""
     library, found = late
     points = [found.null.point, found.best.point]
     other = Control("speed_scale", np.zeros(1), np.eye(1), 0.2)

@@ -177,6 +177,7 @@ def test_a_damaged_section_is_refused(key: str) -> None:
     wrong = (
         {"nothing": [[0.0], [[1.0]], 0.1]}, {"mass": [[0.0], [[-1.0]], 0.1]},
         {"mass": [[0.0, 1.0], [[1.0]], 0.1]}, {"mass": [[0.0], [[1.0]], np.nan]}, "?",
+        {"accel_limit": [[9.0], [[-1.0]], 0.1]}, {"mass": [[0.0, 1.0], [[0.0] * 2] * 2, 0.1]},
     )  # fmt: skip
     others = {"size": np.nan}, {"least": {"accel_max": np.inf}}, {"least": 3.0}
     for damaged in (*({"controls": each} for each in wrong), *others):
