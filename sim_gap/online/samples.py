@@ -105,7 +105,10 @@ def make_window(recent: Recent, start: float, ramp: float) -> Run | None:
     orders = [o for o in recent.orders if start - PAST <= o.t < end + LATE]
     wheel = [w for w in recent.wheel if start <= w.t < end]
     lately = [abs(o.speed) for o in orders if o.t >= start - LEAD]
-    if len(poses) < 2 or not lately or not _driven(poses, min(lately)):
+    if len(poses) < 2 or min(lately, default=0.0) < SPEED_MIN:
+        return None
+    first, last, span = poses[0], poses[-1], poses[-1].t - poses[0].t
+    if span < 0.8 * WINDOW or hypot(last.x - first.x, last.y - first.y) <= SPEED_MIN * span:
         return None
     seen, rolled = np.array(poses), np.array(wheel).reshape(-1, 2)
     t, steer, speed = np.array(orders).T
@@ -115,11 +118,3 @@ def make_window(recent: Recent, start: float, ramp: float) -> Run | None:
         return replace(run, servo_frame=SERVO_FRAME, speed_ramp=ramp, history=PAST)
     except DataError:
         return None
-
-
-def _driven(poses: list[PoseSeen], slowest: float) -> bool:
-    """Whether commands, the `slowest` of them [m/s], and poses both say that the car moves."""
-    first, last, span = poses[0], poses[-1], poses[-1].t - poses[0].t
-    if span < 0.8 * WINDOW or slowest < SPEED_MIN:
-        return False
-    return hypot(last.x - first.x, last.y - first.y) > SPEED_MIN * span

@@ -4,10 +4,11 @@ from collections.abc import Callable, Iterator
 from math import degrees
 from typing import TYPE_CHECKING
 
+from steerd.car_model.effect import Role
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.diagnosis import Diagnosis
 from steerd.sim_gap.lane_comparison import LaneComparison, figures_of
-from steerd.sim_gap.verdict.confidence import Cause
+from steerd.sim_gap.verdict.confidence import Cause, Estimated
 from steerd.sim_gap.verdict.where import EQUATIONS
 from steerd.sysid.report.report import (
     DEGREES,
@@ -98,6 +99,14 @@ def _screen(found: Diagnosis) -> Iterator[Line]:
         yield Line("closed loop", found.lane_note.removeprefix("closed loop "))
 
 
+def furthest(cause: Cause) -> tuple[str, Estimated]:
+    """The size that is furthest from doing nothing, in its standard errors; a place is no size."""
+    sizes = [p for p in EFFECTS[cause.effect].parameters if p.role is Role.SIZE]
+    at = cause.parameters
+    size = max(sizes, key=lambda p: abs(at[p.name].value - p.null) / max(at[p.name].sd, 1e-12))
+    return size.name, at[size.name]
+
+
 def _cards(found: Diagnosis) -> Iterator[Card]:
     """The figures that are read first."""
     pairs = found.leads or [(found.before.errors[0], found.after.errors[0])]
@@ -106,12 +115,7 @@ def _cards(found: Diagnosis) -> Iterator[Card]:
     lead = f"position error after {last[0].seconds:g} s"
     if found.causes:
         first, other = found.causes[0], found.something_else
-        nulls = {p.name: p.null for p in EFFECTS[first.effect].parameters}
-        # The parameter that is furthest from doing nothing, in its standard errors.
-        parameter, (value, sd, unit) = max(
-            first.parameters.items(),
-            key=lambda each: abs(each[1].value - nulls[each[0]]) / max(each[1].sd, 1e-12),
-        )
+        parameter, (value, sd, unit) = furthest(first)
         sure = f"{' and '.join(f'{cause.confidence:.0%}' for cause in found.causes)} sure"
         sure += f"; something else {other:.0%}" if other >= OTHER_SHOWN else ""
         more = f" and {found.causes[1].effect}" if len(found.causes) > 1 else ""

@@ -16,17 +16,8 @@ from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.vesc.vesc_wire import Logged
 from steerd.steer_bus.messages import RequestKind
 from steerd.vesc_link.frames import encode_frame
+from tests.safety import judge
 from tests.safety.catalogue import BY_CODE, nothing
-from tests.safety.judge import (
-    Effort,
-    Motion,
-    MotorFrame,
-    count_drive_frames,
-    distance_driven,
-    find_stop,
-    read_motor_frames,
-    stopping_distance,
-)
 from tests.safety.live_faults import CELLS, FAULTS
 from tests.safety.matrix import run_cell
 from tests.safety.outside import DRIVES, ELSEWHERE, list_outside
@@ -35,47 +26,49 @@ from tests.safety.trace import TRACES, find_code, run_trace, trips
 from tests.unit.daemon.process import test_runner
 
 
-def drive(t_ns: int, value: float = 5.0) -> MotorFrame:
-    return MotorFrame(t_ns, Effort.DRIVE, value)
+def drive(t_ns: int, value: float = 5.0) -> judge.MotorFrame:
+    return judge.MotorFrame(t_ns, judge.Effort.DRIVE, value)
 
 
-def brake(t_ns: int) -> MotorFrame:
-    return MotorFrame(t_ns, Effort.BRAKE, 20.0)
+def brake(t_ns: int) -> judge.MotorFrame:
+    return judge.MotorFrame(t_ns, judge.Effort.BRAKE, 20.0)
 
 
 def test_every_motor_command_is_read_for_what_it_does() -> None:
     sent = (  # id and count, from the protocol's table
-        (8, 4000, Effort.DRIVE, 4000.0), (8, -4000, Effort.DRIVE, 4000.0),
-        (6, 3000, Effort.DRIVE, 3.0), (6, 0, Effort.RELEASE, 0.0),
-        (7, 20_000, Effort.BRAKE, 20.0), (7, 0, Effort.RELEASE, 0.0),
-        (5, 50_000, Effort.DRIVE, 0.5), (5, 0, Effort.BRAKE, 0.0),
-        (9, 90_000_000, Effort.DRIVE, 90.0), (84, 50_000, Effort.DRIVE, 0.5),
-        (10, 5000, Effort.BRAKE, 5.0),
+        (8, 4000, judge.Effort.DRIVE, 4000.0), (8, -4000, judge.Effort.DRIVE, 4000.0),
+        (6, 3000, judge.Effort.DRIVE, 3.0), (6, 0, judge.Effort.RELEASE, 0.0),
+        (7, 20_000, judge.Effort.BRAKE, 20.0), (7, 0, judge.Effort.RELEASE, 0.0),
+        (5, 50_000, judge.Effort.DRIVE, 0.5), (5, 0, judge.Effort.BRAKE, 0.0),
+        (9, 90_000_000, judge.Effort.DRIVE, 90.0), (84, 50_000, judge.Effort.DRIVE, 0.5),
+        (10, 5000, judge.Effort.BRAKE, 5.0),
     )  # fmt: skip
     data = b"".join(encode_frame(struct.pack(">Bi", number, count)) for number, count, _, _ in sent)
     data += encode_frame(b"\x0c\x01\xf4") + encode_frame(b"\x04")
     log = [Logged(7, "vesc", data[:9]), Logged(8, "host", b"\x02\x01"), Logged(9, "vesc", data[9:])]
-    assert [(f.effort, f.value) for f in read_motor_frames(log)] == [each[2:] for each in sent]
+    assert [(f.effort, f.value) for f in judge.read_motor_frames(log)] == [
+        each[2:] for each in sent
+    ]
 
 
 def test_a_stop_that_is_taken_back_is_none() -> None:
-    assert find_stop([drive(1), brake(2), brake(3)], 0) == brake(2)
+    assert judge.find_stop([drive(1), brake(2), brake(3)], 0) == brake(2)
     slower = [drive(1), drive(2), drive(3, 4.0), drive(4, 3.0), brake(5)]
-    assert find_stop(slower, 0) == drive(3, 4.0)
-    assert find_stop([drive(1), brake(2), drive(3), brake(4)], 0) == brake(4)
-    assert find_stop([drive(1), drive(2, 4.0), drive(3, 4.5), brake(4)], 0) == brake(4)
-    assert find_stop([drive(1), drive(2)], 0) is None
-    assert find_stop([drive(1), brake(2), brake(3)], 3) == brake(3)
-    assert find_stop([drive(1), drive(2, 4.0), brake(3)], 0, ramps=False) == brake(3)
-    assert find_stop([drive(1), brake(2), drive(3, 4.0)], 0, ramps=False) is None
+    assert judge.find_stop(slower, 0) == drive(3, 4.0)
+    assert judge.find_stop([drive(1), brake(2), drive(3), brake(4)], 0) == brake(4)
+    assert judge.find_stop([drive(1), drive(2, 4.0), drive(3, 4.5), brake(4)], 0) == brake(4)
+    assert judge.find_stop([drive(1), drive(2)], 0) is None
+    assert judge.find_stop([drive(1), brake(2), brake(3)], 3) == brake(3)
+    assert judge.find_stop([drive(1), drive(2, 4.0), brake(3)], 0, ramps=False) == brake(3)
+    assert judge.find_stop([drive(1), brake(2), drive(3, 4.0)], 0, ramps=False) is None
 
 
 def test_frames_and_distances_are_counted_measured_and_computed() -> None:
-    assert count_drive_frames([drive(1), brake(2), drive(3), drive(4)], 2) == 2
-    assert count_drive_frames([drive(2), brake(3)], 2) == 0
-    track = [Motion(k, 0.3 * k, 0.4 * k, 1.0) for k in range(5)]
-    assert distance_driven(track, 1) == pytest.approx(1.5)
-    assert stopping_distance(2.0, 0.1, 4.0) == pytest.approx(0.7)
+    assert judge.count_drive_frames([drive(1), brake(2), drive(3), drive(4)], 2) == 2
+    assert judge.count_drive_frames([drive(2), brake(3)], 2) == 0
+    track = [judge.Motion(k, 0.3 * k, 0.4 * k, 1.0) for k in range(5)]
+    assert judge.distance_driven(track, 1) == pytest.approx(1.5)
+    assert judge.stopping_distance(2.0, 0.1, 4.0) == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize(("code", "phase"), [

@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerd.sim_gap.diagnosis import grown_leads, is_far
-from steerd.sim_gap.report.gap_report import headline, manoeuvre_words, share_words
+from steerd.sim_gap.report.gap_report import furthest, headline, manoeuvre_words, share_words
 from steerd.sim_gap.verdict import where
+from steerd.sim_gap.verdict.confidence import Estimated
 from steerd.sim_gap.verdict.shrinkage import _shares, explained_share, noise_level
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.likelihood import Reduced
@@ -32,6 +33,12 @@ def test_position_errors_that_grow_are_told_by_their_lead_and_too_large_ones_wit
     told = SimpleNamespace(verdict="unjudged", before=before, causes=(), next_manoeuvre=None)
     assert "cannot be judged: the simulation is 970 mm off after 3 s" in headline(told)
     assert "steerd identify" in manoeuvre_words(told)
+
+
+def test_how_large_an_effect_is_its_place_does_not_say():
+    values = {"x": (-18.0, 0.1), "y": (9.0, 0.1), "radius": (2.0, 0.1), "drop": (0.4, 0.06)}
+    at = {name: Estimated(*each, "m") for name, each in values.items()}
+    assert furthest(SimpleNamespace(effect="grip_patch", parameters=at)) == ("drop", at["drop"])
 
 
 def test_robust_mean_keeps_one_and_bounds_the_rest():
