@@ -1,6 +1,6 @@
-"""Making a controller at start: design, check, refuse. Only this leads to python-control."""
+"""Making a controller at start: design, check, refuse."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from steerd.controller.design import (
     gravest,
 )
 from steerd.controller.gain_table import N_TURNING, GainTable, look_up
+from steerd.controller.gains import design_table
 from steerd.controller.lane_controller import LaneController
 from steerd.controller.lane_keeper import LaneKeeper
 from steerd.controller.loop_model import Timing
@@ -28,31 +29,15 @@ from steerd.controller.speed import SpeedProfile, make_speed_profile
 RATES_TRIED = (2.0, 4.0)  # multiples of the rate that a refusal tries before it advises
 RADIUS_PLAIN = 1.005  # spectral radius that two decimals distinguish from 1
 SPEED_TRIED = 0.9  # share of the lowest faulty speed that a refusal tries as top speed
-DesignTable = Callable[[Car[float], ControllerConfig, Timing, float], GainTable]
-"""The gains of a car, configuration, timing and top speed, see `steerd.controller.gains`."""
-
-
-def compute_table(
-    car: Car[float], config: ControllerConfig, timing: Timing, speed_max: float
-) -> GainTable:
-    """The gains by python-control, which takes a second to import."""
-    from steerd.controller.gains import design_table
-
-    return design_table(car, config, timing, speed_max)
 
 
 def make_controller(
-    car: Car[float],
-    path: Path,
-    config: ControllerConfig,
-    rate_hz: float,
-    design: DesignTable = compute_table,
+    car: Car[float], path: Path, config: ControllerConfig, rate_hz: float
 ) -> LaneController:
     """Designs for this car, path and rate, and checks the closed loop.
 
     The car's `steer_lag` is the servo's, its `steer_delay` the dead time of the whole loop, from
-    the moment an estimate is about to the wheel beginning to follow. Whatever gains `design` gives
-    are checked here.
+    the moment an estimate is about to the wheel beginning to follow.
 
     Raises:
         DesignRefused: a speed at which the closed loop is unstable or too little damped.
@@ -63,7 +48,7 @@ def make_controller(
         raise ValueError(f"rate {rate_hz} Hz, delay {delay} s: use 0 < rate and 0 <= delay <= 1")
     timing = Timing(rate_hz, delay, car.steer_lag)
     profile = make_speed_profile(car, path, config)
-    table, stabilities = _design_checked(car, config, timing, profile.fastest, design)
+    table, stabilities = _design_checked(car, config, timing, profile.fastest)
     _require_turnable(car, path, profile, table)
     report = DesignReport(config.design, timing, stabilities, delay_margin(car, table, timing))
     keeper = LaneKeeper(path, delay + car.steer_lag, car.steer_min, car.steer_max)
@@ -71,10 +56,10 @@ def make_controller(
 
 
 def _design_checked(
-    car: Car[float], config: ControllerConfig, timing: Timing, speed_max: float, design: DesignTable
+    car: Car[float], config: ControllerConfig, timing: Timing, speed_max: float
 ) -> tuple[GainTable, tuple[Stability, ...]]:
     """Gains that passed the check."""
-    table = design(car, config, timing, speed_max)
+    table = design_table(car, config, timing, speed_max)
     stabilities = assess(car, table, timing)
     faults = find_faults(stabilities, config.damping_min)
     if faults:
@@ -138,7 +123,7 @@ def _with_own_fast_poles(
 
 def _passes(car: Car[float], config: ControllerConfig, timing: Timing, speed_max: float) -> bool:
     try:
-        stabilities = assess(car, compute_table(car, config, timing, speed_max), timing)
+        stabilities = assess(car, design_table(car, config, timing, speed_max), timing)
     except DesignRefused:
         return False
     return not find_faults(stabilities, config.damping_min)

@@ -1,4 +1,4 @@
-"""The two designs, through python-control, over a grid of speeds. Runs at start, never per tick.
+"""The two designs over a grid of speeds. Runs at start, never per tick.
 
 `pole_placement` is the paper's: continuous state feedback on Rajamani's error dynamics, blind to
 the servo, the dead time and the loop's rate. `lqr` (default) minimises a quadratic cost of the
@@ -8,8 +8,8 @@ yet.
 
 import math
 
-import control  # noqa: TID251
 import numpy as np
+from scipy import linalg
 
 from steerd.car_model.chassis import SPEED_DYNAMIC
 from steerd.car_model.linear import lane_error_model
@@ -26,6 +26,9 @@ def pole_placement_gains(car: Car[float], speed: float, poles: tuple[complex, ..
     Raises:
         DesignRefused: the poles cannot be placed.
     """
+    # It takes a second or two to import, with what it draws with.
+    import control  # noqa: TID251
+
     model = lane_error_model(car, speed)
     try:
         gains: Matrix = np.asarray(control.place(model.a, model.b_steer[:, None], poles))
@@ -40,6 +43,8 @@ def pole_placement_gains(car: Car[float], speed: float, poles: tuple[complex, ..
 def lqr_gains(car: Car[float], speed: float, timing: Timing, weights: LqrWeights) -> Matrix:
     """Gains (1, 5 + n), n references within the dead time (4 + n without a lag).
 
+    Those of `control.dlqr` to the last bit, which solves the same equation by the same function.
+
     Raises:
         DesignRefused: the Riccati equation has no solution.
     """
@@ -47,8 +52,10 @@ def lqr_gains(car: Car[float], speed: float, timing: Timing, weights: LqrWeights
     lane = 5 if timing.lagging else 4
     cost = np.zeros(len(a))
     cost[:lane] = weights[:lane]
+    effort = np.array([[weights.effort]])
     try:
-        gains: Matrix = np.asarray(control.dlqr(a, b, np.diag(cost), [[weights.effort]])[0])
+        riccati = linalg.solve_discrete_are(a, b, np.diag(cost), effort)
+        gains: Matrix = linalg.solve(b.T @ riccati @ b + effort, b.T @ riccati @ a)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise DesignRefused(
             f"lqr at {speed:.2f} m/s, {timing.rate_hz:g} Hz: {error}; try other weights"

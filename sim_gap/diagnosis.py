@@ -226,14 +226,15 @@ def _conclude(search: _Search, progress: Progress, written: Callable[[str], None
     horizons: tuple[Horizon, ...] = ()
     if case.horizons:
         horizons, gaps = cross_check(fits, case.runs, gaps)
-        if verdict == "none" and is_far(gaps[0]):
-            verdict = "unjudged"
+        verdict = "unjudged" if verdict == "none" and is_far(gaps[0]) else verdict
         if judged.causes and (leads := grown_leads(*gaps)):
             shown = ", ".join(f"{lead:g} s" for lead in leads)
             notes.append(f"position errors grow with the explanation after {shown}")
             verdict = "partial"
-    null, space = found.null.posterior.evidence, found.null.point.space
-    away = (found.null.point.z - space.centre) / space.spread
+    null, space = found.null, found.null.point.space
+    level, away = null.posterior.evidence, (null.point.z - space.centre) / space.spread
+    # Of the names' probability as much as the verdict leaves them beside something else
+    share = (1.0 - judged.something_else) / max(1.0 - null.probability, np.finfo(float).tiny)
     moved = zip(space.chart.labels, away.tolist(), strict=True)
     return Diagnosis(
         case=case,
@@ -244,7 +245,7 @@ def _conclude(search: _Search, progress: Progress, written: Callable[[str], None
         causes=judged.causes,
         something_else=judged.something_else,
         candidates=tuple(
-            ("+".join(h.effects), h.probability, h.posterior.evidence - null)
+            ("+".join(h.effects), share * h.probability, h.posterior.evidence - level)
             for h in found.hypotheses
             if h.effects
         ),

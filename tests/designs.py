@@ -4,7 +4,7 @@ from functools import lru_cache
 
 from steerd.controller import learnt
 from steerd.controller.acceptance import Acceptance, check_design, make_acceptance
-from steerd.controller.build import compute_table
+from steerd.controller.gains import design_table
 from steerd.controller.lane_controller import LaneController
 from steerd.controller.learnt import Design, Learnt
 from steerd.daemon.assembly.build import RunPlan, make_plan
@@ -36,7 +36,7 @@ def design_for(held: Acceptance, **changed: float) -> Design:
     """The lane keeper's own design for these numbers."""
     file, car = held.file, numbers(held, **changed)
     believed, timing = learnt.learnt_car(file, car), learnt.learnt_timing(file, car)
-    table = compute_table(believed, file.config, timing, file.profile.fastest)
+    table = design_table(believed, file.config, timing, file.profile.fastest)
     return Design(car, table)
 
 

@@ -19,7 +19,6 @@ from urllib.parse import urlsplit
 import platformdirs
 import serial  # noqa: TID251
 
-from steerd.sealed_file import make_own_folder
 from steerd.vesc_link.frames import FLUSH
 
 READ_LIMIT = 4096
@@ -100,9 +99,8 @@ class Port:
         Raises:
             LinkDown: the other end is gone.
         """
-        # One call: what it leaves behind, or the end behind the last bytes, the next read finds,
-        # and the descriptor stays readable until then. Asking twice costs a tick more than the
-        # bytes do.
+        # One call, for a second one costs a tick more than the bytes do: what it leaves behind
+        # keeps the descriptor readable.
         try:
             data = os.read(self.fd, limit)
         except BlockingIOError:
@@ -208,7 +206,9 @@ def _own_locks() -> Path:
     """Where nobody else can put a link or a file of the lock's name."""
     folder = platformdirs.user_cache_path("steerd") / "locks"
     with contextlib.suppress(OSError):
-        make_own_folder(folder)
+        for each in (*reversed(folder.parents), folder):
+            each.mkdir(0o700, exist_ok=True)
+        folder.chmod(0o700)
     return folder
 
 

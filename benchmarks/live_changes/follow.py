@@ -21,7 +21,7 @@ from steerd.car_model.car_file import default_car_path
 from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model, believed_car
 from steerd.car_model.path.path import locate, project
-from steerd.controller.build import compute_table
+from steerd.controller.gains import design_table
 from steerd.controller.learnt import Design, Learnt, learnt_car, learnt_of, learnt_timing
 from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, RunPlan, make_plan, make_world_config
 from steerd.daemon.loop.adapting import make_design
@@ -86,7 +86,7 @@ def true_design(plan: RunPlan, text: str) -> Design:
         numbers = numbers._replace(body_yaw=value[0])
     if effect.name == "marker_offset":
         numbers = numbers._replace(body_forward=value[0], body_left=value[1])
-    table = compute_table(
+    table = design_table(
         learnt_car(file, numbers), file.config, learnt_timing(file, numbers), file.profile.fastest
     )
     return Design(numbers, table)

@@ -148,9 +148,8 @@ def _design(
     car: Car[float], path: Path, config: ControllerConfig, rate_hz: float
 ) -> LaneController:
     from steerd.controller.build import make_controller
-    from steerd.daemon.assembly.design_cache import recall_table
 
-    return make_controller(car, path, config, rate_hz, design=recall_table)
+    return make_controller(car, path, config, rate_hz)
 
 
 def make_plan(

@@ -12,8 +12,8 @@ from typing import Any
 
 from steerd.car_model.car_file import CarFile
 from steerd.controller.acceptance import Acceptance
-from steerd.controller.build import DesignTable
 from steerd.controller.design import DesignRefused
+from steerd.controller.gains import design_table
 from steerd.controller.learnt import (
     Design,
     Learnt,
@@ -74,10 +74,8 @@ class Proposals:
     `send` takes each proposal as bytes, and when it was made [ns].
     """
 
-    def __init__(
-        self, held: Acceptance, design_table: DesignTable, send: Callable[[bytes, int], object]
-    ) -> None:
-        self._held, self._design_table, self._send = held, design_table, send
+    def __init__(self, held: Acceptance, send: Callable[[bytes, int], object]) -> None:
+        self._held, self._send = held, send
         self._file = learnt_of(held.file.car)
         self._at = self._file  # the numbers in force, as the core said
         self._design: Design | None = None  # the last proposal
@@ -121,7 +119,7 @@ class Proposals:
             return self._design
         own, timing = learnt_car(file, car), learnt_timing(file, car)
         try:
-            return Design(car, self._design_table(own, file.config, timing, file.profile.fastest))
+            return Design(car, design_table(own, file.config, timing, file.profile.fastest))
         except DesignRefused as error:
             return str(error)
 

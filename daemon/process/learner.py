@@ -11,7 +11,6 @@ from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 
-from steerd.controller.build import compute_table
 from steerd.daemon.assembly.build import RunPlan, read_job
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc import pipe_records as pipes
@@ -35,7 +34,7 @@ class LearnerLoop:
         wiring = Wiring(plan.run.epoch_ns, plan.settings.scaling)
         self.feed = make_feed(plan.settings.file, wiring, read_memory(memory))
         if plan.learnt is not None:
-            self.feed.proposals = Proposals(plan.learnt, compute_table, propose)
+            self.feed.proposals = Proposals(plan.learnt, propose)
         self._gaps, self._numbers = pipes.Gaps(), count()
 
     def take(self, record: pipes.PipeRecord) -> pipes.PipeRecord | None:

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from control import dlqr  # noqa: TID251
 
 from steerd.car_model.linear import lane_error_model
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
@@ -39,6 +40,19 @@ def cost_of(gains: np.ndarray, weights: LqrWeights) -> float:
         total += float(x[:5] ** 2 @ np.array(weights[:5])) + weights.effort * u * u
         x = a @ x + b[:, 0] * u
     return total
+
+
+@pytest.mark.parametrize("rate", [50.0, 500.0])
+@pytest.mark.parametrize("delay", [0.0, 0.05])
+@pytest.mark.parametrize("lag", [0.0, 0.05])
+def test_lqr_has_the_gains_of_python_control(rate, delay, lag):
+    timing, weights = Timing(rate, delay, lag), LqrWeights()
+    for speed in (0.1, 1.0, 4.0):
+        a, b = sampled_loop(DEFAULT_CAR, speed, timing)
+        lane = 5 if timing.lagging else 4
+        cost = np.diag([*weights[:lane], *np.zeros(len(a) - lane)])
+        expected, _, _ = dlqr(a, b, cost, [[weights.effort]])
+        np.testing.assert_array_equal(lqr_gains(DEFAULT_CAR, speed, timing, weights), expected)
 
 
 def test_lqr_is_the_cheapest_of_its_neighbours_and_without_lag_feeds_back_lane_errors_alone():

@@ -1,4 +1,4 @@
-"""What a run is assembled of: its simulated car, what its session says, and remembered gains."""
+"""What a run is assembled of: its simulated car, and what its session says."""
 
 import subprocess
 import sys
@@ -8,18 +8,13 @@ import pytest
 
 from steerd.car_model.car_file import default_car_path
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.controller.build import compute_table
-from steerd.controller.config import ControllerConfig
-from steerd.controller.loop_model import Timing
-from steerd.daemon.assembly import design_cache, session_meta, sim_car
+from steerd.daemon.assembly import session_meta, sim_car
 from steerd.daemon.assembly.build import RunId, make_design_car, make_plan, make_world_config
-from steerd.daemon.assembly.design_cache import designs_folder, digest_design, recall_table
 from steerd.daemon.assembly.plans import parse_box
 from steerd.daemon.assembly.session_meta import make_attachments, make_metadata
 from steerd.daemon.assembly.sim_car import compare_truths, load_sim_car, read_origin, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.settings.run_options import RunOptions, decode_options
-from steerd.sealed_file import CacheRefused
 
 
 # The simulated car: a file, or what a seed hides; and what sessions say of it.
@@ -53,15 +48,14 @@ def test_a_seed_is_a_whole_number(spec):
 
 def test_the_car_file_is_the_controllers_and_the_other_one_is_driven(tmp_path):
     heavy = tmp_path / "heavy.toml"
-    heavy.write_text(
-        default_car_path().read_text().replace("steer_bias = 0.0", "steer_bias = 0.02")
-    )
+    text = default_car_path().read_text().replace("steer_bias = 0.0", "steer_bias = 0.02")
+    heavy.write_text(text)
     plan = make(str(heavy), ("steer_lag=0.02",))
     world = make_world_config(plan)
     assert world.model.car.steer_bias == 0.02
     assert [effect.name for effect in world.model.effects] == ["tyre_saturation", "steer_lag"]
     assert plan.settings.file.car.steer_bias == 0.0
-    assert make_attachments(plan)["sim_car.toml"] == heavy.read_text()
+    assert make_attachments(plan)["sim_car.toml"] == text
 
 
 def test_a_session_tells_its_true_car_and_how_to_drive_it_again():
@@ -134,57 +128,7 @@ def test_car_file_and_path_file_are_attached_unchanged(tmp_path):
     assert make_attachments(with_file)["path.csv"] == lane.read_text()
 
 
-# Remembered gains: digit by digit those that were computed, checked all the same.
-CASE = (DEFAULT_CAR, ControllerConfig(), Timing(100.0, 0.01, 0.05), 1.5)
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    """A cache folder of its own."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    return designs_folder()
-
-
-def test_gains_come_back_digit_by_digit(monkeypatch, folder):
-    first = recall_table(*CASE)
-    assert first == compute_table(*CASE)
-    monkeypatch.setattr(design_cache, "compute_table", lambda *case: pytest.fail("computed"))
-    assert recall_table(*CASE) == first
-    assert len(list(folder.iterdir())) == 1
-
-
-def test_another_car_speed_or_rate_has_gains_of_its_own():
-    car, config, timing, speed = CASE
-    cases = [
-        CASE, (car._replace(mass=3.8), config, timing, speed), (car, config, timing, 1.6),
-        (car, ControllerConfig(damping_min=0.2), timing, speed),
-        (car, config, timing._replace(delay_s=0.02), speed),
-    ]  # fmt: skip
-    assert len({digest_design(*case) for case in cases}) == len(cases)
-
-
-@pytest.mark.parametrize("factor", [0.3, 3.0])
-def test_changed_gains_are_computed_again(folder, factor):
-    whole = recall_table(*CASE)
-    (file,) = folder.iterdir()
-    text = file.read_text()
-    gain = whole.rows[0][0]
-    assert repr(gain) in text
-    file.write_text(text.replace(repr(gain), repr(factor * gain)))
-    with pytest.warns(CacheRefused, match="is damaged or was changed; it is made anew"):
-        assert recall_table(*CASE) == whole
-    assert file.read_text() == text
-
-
-def test_a_folder_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert recall_table(*CASE) == compute_table(*CASE)
-
-
-def test_the_second_start_does_without_python_control():
-    assert make_plan(RunOptions("", path="circle:radius=3", simulated=True)).controller
-    assert "control" in sys.modules
+def test_a_start_does_without_python_control():
     code = (
         "import sys\n"
         "from steerd.daemon.assembly.build import make_plan\n"

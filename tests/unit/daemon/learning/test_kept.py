@@ -38,6 +38,7 @@ from tests.unit.daemon.terminal.test_terminal import printed
 NOON = 1_763_812_800_000_000_000
 """12:00:00 UTC of a day, in UNIX time [ns]; the monotonic clock then read 100 s."""
 MONO = 100_000_000_000
+ABOUT = About("car1", "ab" * 32, "1.0", 'a "wet" one.mcap')
 
 
 def make_change(verdict="named", alternatives=()):
@@ -58,8 +59,6 @@ def make_report(verdict="none", *changes):
     model = make_model(State(seen=120), MONO, NOON - MONO, 3, {})
     return replace(model, verdict=verdict, details=pack(values, list(changes)))
 
-
-ABOUT = About("car1", "ab" * 32, "1.0", 'a "wet" one.mcap')
 
 report = pytest.fixture(lambda: make_report("named", make_change()))
 page = pytest.fixture(lambda report: format_kept(ABOUT, report))
@@ -348,7 +347,7 @@ class Proposer(Proposals):
 
     def __init__(self):
         self.held, self.sent, self.made = standard(), [], 0
-        super().__init__(self.held, self.make_table, lambda *sent: self.sent.append(sent))
+        super().__init__(self.held, lambda *sent: self.sent.append(sent))
 
     def make_table(self, car, config, timing, speed):
         self.made += 1
@@ -361,7 +360,11 @@ class Proposer(Proposals):
         return decode(m.Design, data)
 
 
-at = pytest.fixture(lambda: Proposer())
+@pytest.fixture
+def at(monkeypatch):
+    proposer = Proposer()
+    monkeypatch.setattr(feed, "design_table", proposer.make_table)
+    return proposer
 
 
 def test_in_doubt_or_for_the_car_of_the_file_the_reason_is_proposed(at, aims):
@@ -397,16 +400,14 @@ def test_after_a_refusal_it_pauses_and_begins_at_the_files(at, aims):
 # Messages of a drive as samples of the learner.
 EPOCH = 1_700_000_000_000_000_000
 WIRING = Wiring(EPOCH, Scaling(4000.0, 100.0))
+POSE = {"t_valid_ns": 2 * S, "x": 1.0, "y": 2.0, "yaw": 0.3}
+OTHER_ORDERS = [mode for mode in m.ActuationMode if mode != m.ActuationMode.SPEED]
+TOLD = {"t_sent_ns": S, "t_received_ns": S + 2_000_000, "erpm": 6100}
 
 
 def at_s(seconds, cls, **values):
     """A message with a header of so long after the session's zero."""
     return blank(cls, **{"header": m.make_header(EPOCH + seconds * S, m.BODY), **values})
-
-
-POSE = {"t_valid_ns": 2 * S, "x": 1.0, "y": 2.0, "yaw": 0.3}
-OTHER_ORDERS = [mode for mode in m.ActuationMode if mode != m.ActuationMode.SPEED]
-TOLD = {"t_sent_ns": S, "t_received_ns": S + 2_000_000, "erpm": 6100}
 
 
 def actuation(mode):
