@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from itertools import compress
 from operator import attrgetter
 
+import steerd.controller.build  # noqa: F401, loads while the parent makes the plan
 from steerd.daemon.assembly.build import RunPlan, read_job
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc import signals
