@@ -97,6 +97,8 @@ def test_json_has_exactly_the_shape_of_the_schema(late):
     assert all(each["unit"] == "s" for each in cause["parameters"].values())
     assert all(set(each) == {"effect", "probability", "gain"} for each in told["candidates"])
     assert not any("tyre_saturation" in each["effect"] for each in told["candidates"])
+    named = sum(each["probability"] for each in told["candidates"])
+    assert named + told["something_else"] == pytest.approx(1.0)
 
 
 def test_the_prediction_is_written_and_hashed_before_it_is_measured(late):

@@ -22,6 +22,7 @@ pytestmark = pytest.mark.slow
 
 FREE, ONLY = ["steer_delay", "speed_lag"], ["steer_delay", "steer_backlash", "speed_delay"]
 DELAY, ROUND = 0.05, "circle:radius=2"
+DIAGNOSED = {"only": ONLY, "pairs": False, "closed_loop": False}
 
 
 @pytest.fixture(scope="module")
@@ -33,9 +34,6 @@ def drive(tmp_path_factory):
 
 
 fit = pytest.fixture(lambda drive: steerd.identify(drive, free=FREE, held_out=3), scope="module")
-
-
-DIAGNOSED = {"only": ONLY, "pairs": False, "closed_loop": False}
 gap = pytest.fixture(lambda drive: steerd.diagnose(drive, **DIAGNOSED), scope="module")
 
 
@@ -76,7 +74,7 @@ def test_the_identified_car_is_simulated_saved_and_read_again(fit, tmp_path):
     assert "noise" in load_car(path).sections
     delay = fit.parameters["steer_delay"]  # the file has the digits that the error leaves
     assert fit.car.car.steer_delay == pytest.approx(delay.value, abs=0.1 * delay.sd)
-    session = steerd.simulate(fit, "circle:radius=2", duration=1.0)
+    session = steerd.simulate(fit, ROUND, duration=1.0)
     assert session.metadata["steerd.vehicle"]["steer_delay"] == repr(fit.car.car.steer_delay)
 
 
@@ -110,10 +108,8 @@ def episode(env, seed, policy=follow):
             return np.array(rows), terminated, truncated, info
 
 
-env = pytest.fixture(lambda: steerd.Environment(path=ROUND, duration=2.0), scope="module")
-
-
-def test_the_same_seed_and_actions_give_the_same_episode(env):
+def test_the_same_seed_and_actions_give_the_same_episode():
+    env = steerd.Environment(path=ROUND, duration=2.0)
     one, terminated, truncated, info = episode(env, 4)
     assert (terminated, truncated, info["t"]) == (False, True, pytest.approx(2.0))
     assert one.shape == (200, len(OBSERVED) + 1)
@@ -125,7 +121,7 @@ def test_the_same_seed_and_actions_give_the_same_episode(env):
 
 
 def test_leaving_the_lane_terminates_the_episode():
-    env = steerd.Environment(path="circle:radius=2", duration=8.0)
+    env = steerd.Environment(path=ROUND, duration=8.0)
     _, terminated, truncated, info = episode(env, 4, lambda _: (-0.26, 1.0))
     assert (terminated, truncated) == (True, False)
     assert 0.5 < -info["state"].e1 < 0.55
@@ -184,14 +180,12 @@ def test_an_unknown_topic_says_which_there_are_and_no_file_is_refused(drive, tmp
 
 
 def test_a_recorded_simulation_is_loaded_again_and_is_the_same_for_the_same_seed(tmp_path):
-    def drive(seed, **more):
-        return steerd.simulate(path="circle:radius=2", duration=1.0, seed=seed, **more)
-
-    out = tmp_path / "drive.mcap"
-    assert drive(3, record=out).path == out
-    x = steerd.load(out).table("mocap")["x"]
-    assert np.array_equal(x, drive(3).table("mocap")["x"])
-    assert not np.array_equal(x, drive(4).table("mocap")["x"])
+    out, short = tmp_path / "drive.mcap", {"path": ROUND, "duration": 1.0}
+    assert steerd.simulate(**short, seed=3, record=out).path == out
+    recorded = steerd.load(out).table("mocap")["x"]
+    same, other = (steerd.simulate(**short, seed=n).table("mocap")["x"] for n in (3, 4))
+    assert np.array_equal(recorded, same)
+    assert not np.array_equal(recorded, other)
 
 
 def test_a_temporary_drive_goes_with_its_value():
@@ -223,13 +217,13 @@ def test_arguments_that_make_no_sense(arguments, what):
 def test_a_drive_that_a_watchdog_ends_says_so():
     with pytest.warns(UserWarning, match="the drive was stopped"):
         session = steerd.simulate(
-            path="circle:radius=2", speed=2.0, duration=20.0, effects={"steer_delay": 0.3}
+            path=ROUND, speed=2.0, duration=20.0, effects={"steer_delay": 0.3}
         )
     assert session.duration < 10.0
 
 
 # A controller of one's own: in virtual time, within the limits, to a stop.
-CIRCLE = {"path": "circle:radius=2", "speed": 1.5, "duration": 6.0, "seed": 3}
+CIRCLE = {"path": ROUND, "speed": 1.5, "duration": 6.0, "seed": 3}
 
 
 def steer(t: float, state: State[float], lane: Lane) -> tuple[float, float]:

@@ -31,22 +31,15 @@ from steerd.sysid.inference.noise import Noise, noise_section
 
 
 # One drive under two names: recognised by its content, for a copy is no second drive.
-@pytest.fixture
-def drives(tmp_path):
-    """Two drives of one length, a copy, a link and a name without a file."""
-    (tmp_path / "a.mcap").write_bytes(b"first")
-    (tmp_path / "b.mcap").write_bytes(b"other")
-    (tmp_path / "copy.mcap").write_bytes(b"first")
-    (tmp_path / "link.mcap").symlink_to(tmp_path / "a.mcap")
-    return {name: tmp_path / f"{name}.mcap" for name in ("a", "b", "copy", "link", "none")}
-
-
 @pytest.mark.parametrize(("one", "other", "same"), [
     ("a", "a", True), ("a", "copy", True), ("a", "link", True), ("link", "copy", True),
     ("a", "b", False), ("a", "none", False), ("none", "none", True),
 ])  # fmt: skip
-def test_what_is_the_same_drive(one, other, same, drives):
-    assert is_same(drives[one], drives[other]) is same
+def test_what_is_the_same_drive(one, other, same, tmp_path):
+    for name, content in (("a", b"first"), ("b", b"other"), ("copy", b"first")):
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "link").symlink_to(tmp_path / "a")
+    assert is_same(tmp_path / one, tmp_path / other) is same
 
 
 @pytest.fixture
@@ -151,41 +144,40 @@ MINE = Path("mine.toml")
 OWN = BASE.text.replace("erpm_gain = 4614.0", "erpm_gain = -7300.0").replace('up = "y"', 'up = "z"')
 
 
-@pytest.fixture
-def drive(tmp_path):
-    """Writes a drive with its car file, or with what an import was given about its motor."""
-
-    def write(name, car_text=None, scaling=None):
-        path = tmp_path / f"{name}.mcap"
-        files = {"car.toml": car_text.encode()} if car_text else {}
-        metadata = {"steerd.session": {}, **({"steerd.scaling": scaling} if scaling else {})}
-        SessionWriter(path, {}, metadata, files).finish({"reason": "end"})
-        return open_session(path)
-
-    return write
+def write_drives(folder, *car_texts, **about):
+    """Drives with these car files, or with what an import was given about the motor."""
+    for number, text in enumerate(car_texts):
+        files, metadata = (
+            {"car.toml": text.encode()} if text else {},
+            {"steerd.session": {}, **about},
+        )
+        writer = SessionWriter(folder / f"{number}.mcap", {}, metadata, files)
+        yield open_session(writer.finish({"reason": "end"}))
 
 
-def test_the_drives_own_motor_and_mocap_or_what_an_import_was_given_stand_in_the_file(drive):
-    wiring = find_wiring(BASE, [drive("a", OWN), drive("b", OWN)])
+def test_the_drives_own_motor_and_mocap_or_what_an_import_was_given_stand_in_the_file(tmp_path):
+    wiring = find_wiring(BASE, [*write_drives(tmp_path, OWN, OWN)])
     made = tomllib.loads(make_car(BASE, {}, MINE, wiring).text)
     assert made["vesc"]["erpm_gain"] == -7300.0
     assert made["mocap"]["up"] == "z"
     assert made["car"] == tomllib.loads(BASE.text)["car"] | {"name": "mine"}
-    session = drive("c", scaling={"erpm_gain": "-7350.0", "erpm_offset": "0.0"})
-    assert find_wiring(BASE, [session]) == {("vesc", "erpm_gain"): -7350.0}
+    (tmp_path / "imported").mkdir()
+    given = {"steerd.scaling": {"erpm_gain": "-7350.0", "erpm_offset": "0.0"}}
+    imported = [*write_drives(tmp_path / "imported", None, **given)]
+    assert find_wiring(BASE, imported) == {("vesc", "erpm_gain"): -7350.0}
 
 
 @pytest.mark.parametrize(("base", "texts"), [
     (BASE, [BASE.text]), (parse_car(BASE.text, MINE), [OWN]), (BASE, [OWN, BASE.text]),
     (BASE, [None]),
 ], ids=["default", "named", "differ", "none"])  # fmt: skip
-def test_nothing_changes_without_a_wiring_that_all_drives_share(drive, base, texts):
-    assert find_wiring(base, [drive(str(n), text) for n, text in enumerate(texts)]) == {}
+def test_nothing_changes_without_a_wiring_that_all_drives_share(tmp_path, base, texts):
+    assert find_wiring(base, [*write_drives(tmp_path, *texts)]) == {}
 
 
-def test_a_wiring_that_no_file_may_hold_loses_no_result(drive):
+def test_a_wiring_that_no_file_may_hold_loses_no_result(tmp_path):
     wrong = OWN.replace("\n[vesc]", "\n[vesc]\nof_another_version = 1.0")
-    wiring = find_wiring(BASE, [drive("a", wrong)])
+    wiring = find_wiring(BASE, [*write_drives(tmp_path, wrong)])
     assert wiring
     assert make_car(BASE, {}, MINE, wiring).text == make_car(BASE, {}, MINE).text
 
@@ -307,13 +299,11 @@ def test_drives_that_are_too_gentle_are_not_blamed_on_the_axles():
     assert any(line.startswith("method      ours (windows of 5 s)") for line in lines)
 
 
-NOTE = "the car went about as fast as asked in 2%: `--speed wheel` takes the measured speed"
-
-
 @pytest.mark.parametrize(("what", "why"), [
     ({"rows": {"lf": Row(0.2, 0.16, 0.5, "m", True, False)}},
      "nothing is identifiable from these data; do not drive"),
-    ({"notes": (NOTE,)}, "next        the same command with --speed wheel"),
+    ({"notes": ("2% as fast as asked: `--speed wheel` takes the measured speed instead",)},
+     "next        the same command with --speed wheel"),
 ])  # fmt: skip
 def test_nobody_is_sent_driving_with_what_is_not_known_or_was_not_driven(what, why, tmp_path):
     said = describe(replace(outcome((0.1, 0.4)), **what), tmp_path / "car.toml")

@@ -1,6 +1,5 @@
 """`steerd arm`, `start`, `stop`, `estop` on an in-process bus, and what `status` says."""
 
-import contextlib
 from contextlib import nullcontext
 from types import SimpleNamespace
 
@@ -71,9 +70,6 @@ class Bench:
             data = self.garbles.get(topic.name, encode(message))
             self._bus.publish(make_key("car1", topic), data)
 
-    def kinds(self):
-        return [kind for _, _, kind, _ in self.asked]
-
 
 @pytest.fixture
 def bench(monkeypatch):
@@ -97,7 +93,7 @@ def test_what_is_not_for_this_car_is_said_and_not_sent(bench, cli, line, state, 
     car = bench(state=state)
     heard = cli(*line.split(), code=code).err
     assert all(words in heard for words in said)
-    assert car.kinds() == []
+    assert car.asked == []
 
 
 @pytest.mark.parametrize(("line", "state", "leased"), [
@@ -208,7 +204,7 @@ def drive(monkeypatch):
     def go(reason, code=ExitCode.STOPPED, **options):
         again = []
         monkeypatch.setattr(command, "Child", lambda module: SimpleNamespace(close=lambda: None))
-        sim = contextlib.nullcontext(SimpleNamespace(port="/dev/x", mocap_url="natnet://x/car"))
+        sim = nullcontext(SimpleNamespace(port="/dev/x", mocap_url="natnet://x/car"))
         monkeypatch.setattr("steerd.sim_hw.real_time.links.spawn_sim", lambda _: sim)
         monkeypatch.setattr(command, "_run_live", lambda plan, core: (code, reason))
         fast = "steerd.daemon.offline.fast.run_fast"

@@ -4,14 +4,11 @@ import json
 import os
 import sys
 import urllib.request
-from collections.abc import Callable, Iterator
 from io import StringIO
 from pathlib import Path
-from typing import Any
 
 import pytest
-from websockets.sync.client import ClientConnection, connect  # noqa: TID251
-from websockets.typing import Origin  # noqa: TID251
+from websockets.sync.client import connect  # noqa: TID251
 
 from steerd.daemon.cli.commands.setup import Step, guide, list_steps, run_step
 from steerd.daemon.cli.main import run_cli
@@ -33,10 +30,9 @@ def test_every_step_is_a_command_as_a_user_would_type_it(step):
     (["what", "", "q"], [0], "a", 1),  # an unknown key does nothing
 ])  # fmt: skip
 def test_steps_go_on_when_they_succeeded(answers, codes, done, ended):
-    ran: list[str] = []
-    typed, results = iter(answers), iter(codes)
+    ran, typed, results = [], iter(answers), iter(codes)
 
-    def do(step: Step) -> int:
+    def do(step):
         ran.append(step.title)
         return next(results)
 
@@ -76,7 +72,7 @@ ABC = [Step(name, f"before {name}", (name,)) for name in "abc"]
 
 
 @pytest.fixture
-def typed() -> Iterator[tuple[GuidePage, int]]:
+def typed():
     """A page, and the end of a pipe that is its terminal's keyboard."""
     read, write = os.pipe()
     with os.fdopen(read) as terminal:
@@ -87,11 +83,11 @@ def typed() -> Iterator[tuple[GuidePage, int]]:
         os.close(write)
 
 
-def until(socket: ClientConnection, there: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+def until(socket, there):
     """What the page shows once something is there."""
     while not there(seen := json.loads(socket.recv(timeout=20.0))):
         pass
-    return dict(seen)
+    return seen
 
 
 def test_buttons_and_keys_both_answer(typed):
@@ -99,10 +95,10 @@ def test_buttons_and_keys_both_answer(typed):
     with urllib.request.urlopen(page.url) as answer:
         assert b"steerd setup" in answer.read()
     live, origin = page.url.replace("http", "ws") + "live", f"http://{page.url.split('/')[2]}"
-    with connect(live, origin=Origin(origin)) as socket:
-        done: list[str] = []
+    with connect(live, origin=origin) as socket:
+        done = []
 
-        def ask(question: str) -> str:
+        def ask(question):
             if page.shown()["at"] == 1:  # the second step is answered on the keyboard
                 os.write(keyboard, b"\n")
             else:

@@ -5,7 +5,6 @@ import os
 import shlex
 import sys
 import time
-from dataclasses import dataclass
 
 import pytest
 from hypothesis import given, settings
@@ -69,12 +68,8 @@ def test_items_are_counted_as_they_pass():
 
 # Values in a notebook: short inside others, the screen on their own.
 @shown
-@dataclass(frozen=True)
-class Screen:
-    text: str
-
-    def __str__(self) -> str:
-        return self.text
+class Screen(str):
+    """A value whose screen is its text."""
 
 
 def test_a_value_is_one_line_inside_others_and_its_screen_at_a_cells_end():

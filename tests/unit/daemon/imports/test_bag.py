@@ -18,8 +18,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.imports.bag import BAG_ROLES, RIGIDS, RIGIDS_TEXT, find_best, import_bag
-from steerd.daemon.imports.import_map import parse_map
-from steerd.daemon.imports.propose import change, format_map, guess_scale, propose_csv
+from steerd.daemon.imports.import_map import ColumnSpec, parse_map
+from steerd.daemon.imports.propose import change, format_map, guess_scale
 from steerd.steer_bus.messages import Actuation, MocapPose, VescTelemetry, WheelSpeed
 from steerd.steer_bus.session_read import open_session
 from steerd.sysid.data.dataset import read_run
@@ -68,71 +68,55 @@ class Bag:
             types = get_types_from_msg(text.replace("std_msgs/std_msgs", "std_msgs"), name)
             known = self.store.fielddefs
             self.store.register({k: v for k, v in types.items() if k not in known})
+        self.of = {name.rpartition("/")[2]: made for name, made in self.store.types.items()}
         plugin = {"storage_plugin": StoragePlugin.SQLITE3 if kind == "db3" else StoragePlugin.MCAP}
         self.writer = Writer1(path) if self.ros1 else Writer2(path, version=8, **plugin)
         self.connections = {}
 
-    def __enter__(self):
-        self.writer.open()
-        return self
-
-    def __exit__(self, *_):
-        self.writer.close()
-
-    def type(self, name):
-        return self.store.types[name]
-
-    def header(self, t_ns):
-        time = self.type("builtin_interfaces/msg/Time")(t_ns // 10**9, t_ns % 10**9)
-        seq = (0,) if self.ros1 else ()
-        return self.type("std_msgs/msg/Header")(*seq, time, "map")
-
     def add(self, topic, kind, t_ns, *values, stamp_ns=None):
         if topic not in self.connections:
             self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
-        header = self.header(t_ns if stamp_ns is None else stamp_ns)
-        message = self.type(kind)(header, *values)
+        stamp = divmod(t_ns if stamp_ns is None else stamp_ns, 10**9)
+        time = self.store.types["builtin_interfaces/msg/Time"](*stamp)
+        header = self.of["Header"](*((0,) if self.ros1 else ()), time, "map")
+        message = self.store.types[kind](header, *values)
         serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
         self.writer.write(self.connections[topic], t_ns, serialize(message, kind))
 
-    def geometry(self, name, *values):
-        return self.type(f"geometry_msgs/msg/{name}")(*values)
-
     def raw_pose(self, x, y, yaw):
-        turn = self.geometry("Quaternion", 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
-        return self.geometry("Pose", self.geometry("Point", x, y, 0.1), turn)
+        turn = self.of["Quaternion"](0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+        return self.of["Pose"](self.of["Point"](x, y, 0.1), turn)
 
     def pose(self, topic, t_ns, x, y, yaw, **more):
         self.add(topic, "geometry_msgs/msg/PoseStamped", t_ns, self.raw_pose(x, y, yaw), **more)
 
     def odometry(self, topic, t_ns, x, y, yaw, speed):
-        pose = self.geometry("PoseWithCovariance", self.raw_pose(x, y, yaw), np.zeros(36))
-        rates = (self.geometry("Vector3", forward, 0.0, 0.0) for forward in (speed, 0.0))
-        twist = self.geometry("TwistWithCovariance", self.geometry("Twist", *rates), np.zeros(36))
+        pose = self.of["PoseWithCovariance"](self.raw_pose(x, y, yaw), np.zeros(36))
+        rates = (self.of["Vector3"](forward, 0.0, 0.0) for forward in (speed, 0.0))
+        twist = self.of["TwistWithCovariance"](self.of["Twist"](*rates), np.zeros(36))
         self.add(topic, "nav_msgs/msg/Odometry", t_ns, "base_link", pose, twist)
 
     def drive(self, topic, t_ns, steer, speed):
-        drive = self.type("ackermann_msgs/msg/AckermannDrive")(steer, 0.0, speed, 0.0, 0.0)
+        drive = self.of["AckermannDrive"](steer, 0.0, speed, 0.0, 0.0)
         self.add(topic, "ackermann_msgs/msg/AckermannDriveStamped", t_ns, drive)
 
     def vesc(self, topic, t_ns, **values):
-        cls = self.type("vesc_msgs/msg/VescState")
+        cls = self.of["VescState"]
         names = (n for n in cls.__dataclass_fields__ if n.islower() and not n.startswith("_"))
         state = cls(*[values.get(name, 0) for name in names])
         self.add(topic, "vesc_msgs/msg/VescStateStamped", t_ns, state)
 
     def rigids(self, topic, t_ns, bodies, **more):
-        cls = self.type("phasespace_msgs/msg/Rigid")
         turn = (1.0, 0.0, 0.0, 0.0) if self.ros1 else (1.0, 0.0, 0.0, 0.0, 0.0)
-        made = [cls(key, 0, 0, x, y, z, *turn, cond) for key, x, y, z, cond in bodies]
+        made = [self.of["Rigid"](key, 0, 0, x, y, z, *turn, cond) for key, x, y, z, cond in bodies]
         self.add(topic, RIGIDS, t_ns, made, **more)
 
 
 def make_bag(folder, kind, fill):
-    path = folder / ("run.bag" if kind == "ros1" else "run")
-    with Bag(path, kind) as bag:
+    bag = Bag(folder / ("run.bag" if kind == "ros1" else "run"), kind)
+    with bag.writer:
         fill(bag)
-    return path
+    return bag.path
 
 
 def convert(folder, bag, *, topics=(), rigid=None, the_map=None):
@@ -207,14 +191,13 @@ def test_phasespace_rigids(tmp_path, kind):
     assert report.notes == ("1 frames without the rigid body were left out",)
 
 
-def two_poses(bag):
-    bag.pose("/a", START, 1.0, 0.0, 0.0)
-    bag.pose("/b", START + 1, 2.0, 0.0, 0.0)
-    bag.drive("/drive", START + 2, 0.1, 1.0)
-
-
 def test_several_topics_must_be_chosen_and_the_choice_must_fit(tmp_path):
-    bag = make_bag(tmp_path, "mcap", two_poses)
+    def fill(bag):
+        bag.pose("/a", START, 1.0, 0.0, 0.0)
+        bag.pose("/b", START + 1, 2.0, 0.0, 0.0)
+        bag.drive("/drive", START + 2, 0.1, 1.0)
+
+    bag = make_bag(tmp_path, "mcap", fill)
     error = refuse(tmp_path, bag)
     assert "/a (PoseStamped), /b (PoseStamped)" in error.what
     assert (error.hint, error.code) == ("choose each with --topic TOPIC", ExitCode.USAGE)
@@ -230,8 +213,7 @@ def test_several_topics_must_be_chosen_and_the_choice_must_fit(tmp_path):
 
 def test_a_bag_of_other_things(tmp_path):
     def fill(bag):
-        point = bag.geometry("Point", 0.0, 0.0, 0.0)
-        bag.add("/point", "geometry_msgs/msg/PointStamped", START, point)
+        bag.add("/point", "geometry_msgs/msg/PointStamped", START, bag.of["Point"](0.0, 0.0, 0.0))
 
     error = refuse(tmp_path, make_bag(tmp_path, "mcap", fill))
     assert "/point (geometry_msgs/msg/PointStamped)" in error.hint
@@ -303,26 +285,26 @@ def circle(t):
     return 2.0 * np.sin(CIRCLE * t), 2.0 - 2.0 * np.cos(CIRCLE * t), CIRCLE * t
 
 
-def write_csv(path, sign=1.0):
+def write_csv(path):
     t = np.arange(0.0, 12.0, 0.02)
     x, y, yaw = circle(t)
     wrapped = np.degrees((yaw + np.pi) % (2 * np.pi) - np.pi)
-    steer = np.degrees(sign * (0.16 + 0.02 * np.sin(t)))
+    steer = np.degrees(-0.16 - 0.02 * np.sin(t))
     rows = np.column_stack([1e3 * t, 1e3 * x, 1e3 * y, wrapped, steer, np.ones_like(t)])
     text = "time_ms,pos_x,pos_y,heading_deg,steering,cmd_speed\n"
     path.write_text(text + "\n".join(",".join(f"{v:.4f}" for v in row) for row in rows))
     return path
 
 
-def write_bag(path, kind, gain=-7300.0, **topics):
-    named = {"pose": "/vrpn_mocap/car/pose", "command": "/ackermann_cmd", **topics}
-    with Bag(path, kind) as bag:
+def write_bag(path, gain=-7300.0):
+    bag = Bag(path, "mcap")
+    with bag.writer:
         for i in range(240):
             t_ns, t = START + i * NS // 20, i / 20
             x, y, yaw = circle(t)
-            bag.pose(named["pose"], t_ns, x, y, yaw)
+            bag.pose("/vrpn_mocap/car/pose", t_ns, x, y, yaw)
             bag.pose("/pf/viz/inferred_pose", t_ns, x + 0.1, y, yaw)
-            bag.drive(named["command"], t_ns, 0.16, 1.0)
+            bag.drive("/ackermann_cmd", t_ns, 0.16, 1.0)
             bag.drive("/drive", t_ns, 0.3, 2.0)
             bag.vesc("/vesc/sensors/core", t_ns, speed=gain)
     return path
@@ -330,14 +312,6 @@ def write_bag(path, kind, gain=-7300.0, **topics):
 
 def talk(monkeypatch, *lines):
     monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
-
-
-def test_columns_and_units_are_guessed(tmp_path):
-    columns = propose_csv(write_csv(tmp_path / "run.csv"))["columns"]
-    assert columns["t"] == {"column": "time_ms", "scale": 0.001}
-    assert columns["x"] == {"column": "pos_x", "scale": 0.001}
-    assert columns["yaw"]["scale"] == columns["steer_cmd"]["scale"] == pytest.approx(np.pi / 180)
-    assert columns["speed_cmd"] == "cmd_speed"
 
 
 @pytest.mark.parametrize(("quantity", "values", "scale"), [
@@ -366,12 +340,16 @@ def test_a_proposal_is_changed_line_by_line():
     }  # fmt: skip
 
 
-def test_a_csv_s_map_is_explained_and_the_steering_turned(tmp_path, monkeypatch, cli):
-    source = write_csv(tmp_path / "run.csv", sign=-1.0)
+def test_a_csv_s_map_is_guessed_and_explained_and_the_steering_turned(tmp_path, monkeypatch, cli):
+    source = write_csv(tmp_path / "run.csv")
     talk(monkeypatch, "car = blue", "")
     assert "to the left, 0° to the right" in cli("import", "--ask", source).out
-    the_map = parse_map((tmp_path / "run.map.toml").read_text())
-    assert the_map.columns["steer_cmd"].scale == pytest.approx(-np.pi / 180)
+    columns = parse_map((tmp_path / "run.map.toml").read_text()).columns
+    assert columns["t"] == ColumnSpec("time_ms", 0.001)
+    assert columns["x"] == ColumnSpec("pos_x", 0.001)
+    assert columns["yaw"].scale == -columns["steer_cmd"].scale == pytest.approx(np.pi / 180)
+    assert columns["speed_cmd"] == ColumnSpec("cmd_speed")
+    assert "wheel_speed" not in columns, "one column is one quantity"
     session = open_session(tmp_path / "run.mcap")
     assert session.info().metadata["steerd.session"]["car"] == "blue"
     assert np.nanmean(session.columns(Actuation)["steer"]) == pytest.approx(0.16, abs=0.01)
@@ -385,10 +363,8 @@ def test_without_a_yes_nothing_is_written(tmp_path, monkeypatch, lines):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.csv"]
 
 
-def test_the_topics_of_a_car_are_known_and_its_vescs_sign_and_scale_doubted_until_stated(
-    tmp_path, cli
-):
-    path = write_bag(tmp_path / "run", "mcap")
+def test_a_cars_topics_are_known_and_its_vescs_sign_and_scale_doubted_until_stated(tmp_path, cli):
+    path = write_bag(tmp_path / "run")
     doubted = cli("import", path, "-o", tmp_path / "a.mcap")
     assert "-7300 ERPM per m/s" in doubted.err
     assert "pose is /vrpn_mocap/car/pose, not /pf/viz/inferred_pose" in doubted.err
@@ -412,7 +388,7 @@ def test_the_topics_of_a_car_are_known_and_its_vescs_sign_and_scale_doubted_unti
 
 
 def test_asked_for_a_bag_the_poses_say_what_the_erpm_mean(tmp_path, monkeypatch, cli):
-    path = write_bag(tmp_path / "run", "mcap")
+    path = write_bag(tmp_path / "run")
     talk(monkeypatch, "")
     said = cli("import", "--ask", path, "-o", tmp_path / "a.mcap").out
     assert "motor     -7300 ERPM per m/s, by the poses" in said
@@ -420,14 +396,15 @@ def test_asked_for_a_bag_the_poses_say_what_the_erpm_mean(tmp_path, monkeypatch,
 
 
 def test_what_a_bag_lacks_is_said(tmp_path, cli):
-    with Bag(tmp_path / "run", "mcap") as bag:
+    def fill(bag):
         for i in range(30):
             bag.drive("/drive", START + i * NS // 20, 0.1, 1.0)
-    printed = cli("import", tmp_path / "run", "-o", tmp_path / "a.mcap")
+
+    printed = cli("import", make_bag(tmp_path, "mcap", fill), "-o", tmp_path / "a.mcap")
     assert "no pose: identify and diagnose need the car's track" in printed.err
     assert "no vesc: the wheels' speed is not known" in printed.err
     assert "next: steerd plot" in printed.out, "nothing to identify"
-    whole = write_bag(tmp_path / "whole", "mcap", gain=4614.0)
+    whole = write_bag(tmp_path / "whole", gain=4614.0)
     printed = cli("import", whole, "-o", tmp_path / "b.mcap")
     assert "next: steerd identify" in printed.out
     assert "warning" not in printed.err

@@ -11,19 +11,18 @@ from steerd.daemon.ipc.requests import pack_request, unpack_request
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode, encode
-from steerd.steer_bus.messages import BODY, Tick, make_header
+from tests.blank import blank
 
 MESSAGE = m.OperatorRequest(m.make_header(5, m.BODY), 1, 2, 3, int(m.RequestKind.STOP), "desk")
 RECORD = pipe_records.PipeRecord(topics.OPERATOR, 7, 11, 13, encode(MESSAGE), MESSAGE)
 
 
-def test_records_return_as_they_were_wherever_the_bytes_are_split():
-    buffer, found = bytearray(), []
+def test_records_return_as_they_were_wherever_the_bytes_are_split(pipe):
+    reader, found = pipe_records.PipeReader(pipe[0]), []
     for byte in pipe_records.pack_record(RECORD) * 3:
-        buffer.append(byte)
-        found += pipe_records.unpack_records(buffer)
+        os.write(pipe[1], bytes([byte]))
+        found += reader.take()
     assert found == [replace(RECORD, message=None)] * 3
-    assert buffer == b""
     assert pipe_records.read_message(found[0]) == pipe_records.read_message(RECORD) == MESSAGE
 
 
@@ -67,34 +66,30 @@ def test_a_reader_that_is_gone_costs_one_write_and_no_exception(pipe):
 
 
 # The core's way out: order, numbers, and a message that cannot be encoded.
-def tick(seq):
-    return Tick(make_header(0, BODY), 0, 0, 0, seq, 0)
-
-
 def test_a_message_that_cannot_be_encoded_is_lost_alone():
     first, second = [], []
     box = Outbox(7, tuple(lambda got, t, to=to: to.append((got, t)) for to in (first, second)))
     for seq in (1, 1 << 32, 2, -1):
-        box.post(topics.TICK, tick(seq), 5)
+        box.post(topics.TICK, blank(m.Tick, seq=seq), 5)
     with pytest.raises(CodecError, match="cannot encode Tick"):
         box.flush(9)
     ((records, t_ns),) = first
     assert t_ns == 9
-    assert [decode(Tick, record.data).seq for record in records] == [1, 2]
+    assert [decode(m.Tick, record.data).seq for record in records] == [1, 2]
     assert [record.sequence for record in records] == [0, 2], "what was lost leaves a gap"
     assert second == first
     box.flush(10)
     assert len(first) == 1, "what was wrong once is not tried again"
     alone = Outbox(0, ())
-    alone.post(topics.TICK, tick(1 << 40), 0)
+    alone.post(topics.TICK, blank(m.Tick, seq=1 << 40), 0)
     alone.flush(0)  # without anybody to tell nothing is kept
 
 
 def test_log_times_never_go_back():
     sent = []
     box = Outbox(100, (lambda got, t: sent.extend(got),))
-    box.post(topics.TICK, tick(1), 5)
-    box.post(topics.TICK, tick(2), 3, valid_ns=2)
+    box.post(topics.TICK, blank(m.Tick), 5)
+    box.post(topics.TICK, blank(m.Tick), 3, valid_ns=2)
     box.flush(5)
     assert [(r.log_time_ns, r.publish_time_ns) for r in sent] == [(105, 105), (105, 102)]
 

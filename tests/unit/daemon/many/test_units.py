@@ -94,6 +94,7 @@ def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path, monkeypatch):
 # What an interrupted command had finished is found again, whole.
 UNITS = {"a": {"x": 0.1 + 0.2, "y": None}, "b": {"x": 1e-300, "y": "wörds"}}
 Rows = namedtuple("Rows", "rows worked wall")
+output = pytest.fixture(lambda tmp_path: tmp_path / "out.parquet")
 
 
 def do(output, basis="p", stop=None, units=UNITS):
@@ -103,9 +104,6 @@ def do(output, basis="p", stop=None, units=UNITS):
         return {"outcome": "done", **done.row}
 
     return do_job(Job("", lambda row: row, units, basis, make_row, Rows), Where(1), output)
-
-
-output = pytest.fixture(lambda tmp_path: tmp_path / "out.parquet")
 
 
 def test_rows_come_back_digit_by_digit_and_are_not_made_again(output):

@@ -52,22 +52,21 @@ def ask_on_the_way(run):
         run.step()
 
 
-def test_the_car_does_as_asked_and_is_never_stopped_for_it(session):
+def running(session, start, end):
+    """The states of the running car between these times [s]."""
     table = session.columns(m.StateMessage)
-    modes = set(table["mode"])
-    assert SupervisorState.RUNNING in modes
-    assert SupervisorState.FAULT_STOP not in modes
     t = (table["mono_ns"] - table["mono_ns"][0]) * 1e-9
-    running = table["mode"] == SupervisorState.RUNNING
+    kept = (table["mode"] == SupervisorState.RUNNING) & (t > start) & (t < end)
+    return {name: column[kept] for name, column in table.items()}
 
-    def between(name, start, end):
-        return table[name][running & (t > start) & (t < end)]
 
-    assert between("speed", 8.0, 10.0) == pytest.approx(0.75, abs=0.02)
-    assert between("speed", 4.0, 5.9).max() > 1.4
-    assert between("speed", 20.0, 24.0).max() == pytest.approx(1.25, abs=0.03)
-    assert between("speed_ref", 6.0, 24.0).max() <= 1.5
-    assert np.abs(between("e1", 14.0, 18.0)).max() < 0.01, "of the shifted lane"
+def test_the_car_does_as_asked_and_is_never_stopped_for_it(session):
+    assert SupervisorState.FAULT_STOP not in session.columns(m.StateMessage)["mode"]
+    assert running(session, 8.0, 10.0)["speed"] == pytest.approx(0.75, abs=0.02)
+    assert running(session, 4.0, 5.9)["speed"].max() > 1.4
+    assert running(session, 20.0, 24.0)["speed"].max() == pytest.approx(1.25, abs=0.03)
+    assert running(session, 6.0, 24.0)["speed_ref"].max() <= 1.5
+    assert np.abs(running(session, 14.0, 18.0)["e1"]).max() < 0.01, "of the shifted lane"
 
 
 def test_such_a_drive_is_no_measure_of_a_simulated_one(session):
@@ -76,11 +75,10 @@ def test_such_a_drive_is_no_measure_of_a_simulated_one(session):
 
 
 def test_the_lane_lies_beside_the_path(session):
-    path, table = make_plan(OPTIONS).path, session.columns(m.StateMessage)
-    t = (table["mono_ns"] - table["mono_ns"][0]) * 1e-9
+    path = make_plan(OPTIONS).path
     for start, end, offset in ((14.0, 18.0, 0.1), (21.5, 24.0, -0.05)):
-        kept = (table["mode"] == SupervisorState.RUNNING) & (t > start) & (t < end)
-        places = np.column_stack([table[name][kept][::10] for name in ("x", "y", "yaw")])
+        states = running(session, start, end)
+        places = np.column_stack([states[name][::10] for name in ("x", "y", "yaw")])
         beside = [locate(path, *place).e1 for place in places.tolist()]
         assert beside == pytest.approx([offset] * len(places), abs=0.02)
         assert len(places) > 20

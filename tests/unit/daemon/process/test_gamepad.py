@@ -1,7 +1,4 @@
-"""Gamepads as the kernel's bytes: from a pipe, and from a virtual device where one can be made.
-
-On the bus nothing is sent without the deadman, and a stop when it is released.
-"""
+"""Gamepads: the kernel's bytes from a pipe or a virtual device, and what they send on the bus."""
 
 import os
 import struct
@@ -23,9 +20,7 @@ from steerd.steer_bus.messages import DriveCommand, OperatorRequest, RequestKind
 from steerd.steer_bus.topics import make_key
 from tests.local_bus import LocalBus, LocalHub
 
-RECORDED = struct.pack("qqHHi", 1700000000, 5, KEY, 310, 1) + struct.pack(
-    "qqHHi", 1700000000, 9, ABS, 0, -32768
-)
+RECORDED = struct.pack("qqHHi" * 2, 1700000000, 5, KEY, 310, 1, 1700000000, 9, ABS, 0, -32768)
 """Two events as `cat /dev/input/event5` writes them on a 64-bit machine."""
 
 
@@ -51,9 +46,7 @@ def test_a_device_that_is_not_there_is_named_and_none_gets_advice(tmp_path, monk
     assert "--device" in caught.value.hint
 
 
-@pytest.mark.skipif(
-    not os.access("/dev/uinput", os.W_OK), reason="no /dev/uinput: no virtual gamepad can be made"
-)
+@pytest.mark.skipif(not os.access("/dev/uinput", os.W_OK), reason="no /dev/uinput on this machine")
 def test_a_virtual_gamepad_is_read_and_its_end_is_noticed():
     import evdev  # noqa: TID251
 
@@ -72,21 +65,21 @@ def test_a_virtual_gamepad_is_read_and_its_end_is_noticed():
 
 
 # What a gamepad's parts mean, and everything that counts as letting go of it.
-PADS = PadMap()
 HELD = PadState(held=True, steer=0.5, speed=0.5)
 STICK, TRIGGER = gamepad.AxisRange(-100, 100), gamepad.AxisRange(0, 200)
 COARSE = gamepad.AxisRange(-100, 100, 20)
 
 
-def moved(axis, value, pads=PADS):
+def moved(axis, value, **pads):
     """A held pad after this of one axis."""
-    return gamepad.take_event(HELD, PadEvent(ABS, AXES[axis], value), pads, gamepad.XBOX_AXES, 7)[0]
+    event = PadEvent(ABS, AXES[axis], value)
+    return gamepad.take_event(HELD, event, PadMap(**pads), gamepad.XBOX_AXES, 7)[0]
 
 
 def test_left_is_left_and_forward_is_forward():
     assert [moved("x", value).steer for value in (-32768, 32767)] == pytest.approx([1.0, -1.0])
     assert [moved("rz", value).speed for value in (1023, 0)] == [1.0, 0.0]
-    stick = [moved("y", value, PadMap(speed="y")).speed for value in (-32768, 32767)]
+    stick = [moved("y", value, speed="y").speed for value in (-32768, 32767)]
     assert stick == pytest.approx([1.0, 0.0]), "there is no reverse"
     assert moved("ry", 9000) == replace(HELD, heard_ns=7)
 

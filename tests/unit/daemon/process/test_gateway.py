@@ -66,21 +66,8 @@ def test_it_is_alive_and_gives_the_schemas(other):
     assert b"due_ns" in text
 
 
-def test_whole_records_are_published_and_the_rest_waits(gateway, hub, pipe):
-    heard = LocalBus(hub).subscribe(make_key("car1", topics.TICK), 8)
-    record = pack_record(PipeRecord(topics.TICK, 0, 0, 0, TICK))
-    read_fd, write_fd = pipe
-    reader = PipeReader(read_fd)
-    os.write(write_fd, record + record[:-1])
-    gateway.publish(reader.take())
-    assert [sample.data for sample in heard.poll()] == [TICK]
-    os.write(write_fd, record[-1:])
-    gateway.publish(reader.take())
-    assert [sample.data for sample in heard.poll()] == [TICK]
-
-
-def test_what_comes_from_the_bus_is_not_sent_back_to_it(gateway, hub):
-    heard = LocalBus(hub).subscribe(make_key("car1", topics.OPERATOR), 8)
+def test_what_comes_from_the_bus_is_not_sent_back_to_it(gateway, other):
+    heard = other.subscribe(make_key("car1", topics.OPERATOR), 8)
     gateway.publish([PipeRecord(topics.OPERATOR, 0, 0, 0, ask(ARM))])
     assert heard.poll() == []
 
@@ -159,13 +146,13 @@ def test_a_core_that_does_not_read_costs_requests_and_never_blocks(gateway, othe
     assert 0 < len(packets(core)) < sent
 
 
-def test_it_ends_when_the_pipe_closes_after_all_is_published(gateway, hub, ends, pipe):
-    heard = LocalBus(hub).subscribe(make_key("car1", topics.TICK), 8)
+def test_it_ends_when_the_pipe_closes_after_all_is_published(gateway, other, ends, pipe):
+    heard = other.subscribe(make_key("car1", topics.TICK), 8)
     read_fd, write_fd = pipe
     os.write(write_fd, pack_record(PipeRecord(topics.TICK, 0, 0, 0, TICK)))
     os.close(write_fd)
     run_gateway(gateway, PipeReader(read_fd), ends[0], PipeReader(None))
-    assert len(heard.poll()) == 1
+    assert [sample.data for sample in heard.poll()] == [TICK]
 
 
 # Heartbeats to the bus and back: who must answer, how soon, and what does not count.

@@ -1,7 +1,4 @@
-"""The guardian: its decisions with injected time, and its bytes with real processes and a pty.
-
-The core's side of it too, and who holds the lifeline.
-"""
+"""The guardian: decisions with injected time, bytes with real processes; who holds the lifeline."""
 
 import os
 import pty

@@ -24,18 +24,15 @@ TICKS = 2000
 
 
 def drive(period, frames, ticks=TICKS):
-    """Deadlines, and for each the wait of the newest frame, which comes at the given times."""
-    pace, due, newest, coming = Pace(), 0, -1, 0
-    dues, waits, paces = [], [], []
+    """Deadlines, the wait of the newest frame at each, and paces; frames come at given times."""
+    pace, due, newest, coming, seen = Pace(), 0, -1, 0, []
     for _ in range(ticks):
         while coming < len(frames) and frames[coming] <= due:
             newest, coming = frames[coming], coming + 1
         pace = step_pace(pace, due, newest, period)
-        dues.append(due)
-        waits.append(due - newest)
-        paces.append(pace)
+        seen.append((due, due - newest, pace))
         due += period + pace.shift_ns
-    return dues, waits, paces
+    return zip(*seen, strict=True)
 
 
 def arrivals(every, phase, jitter, seed, share=1.0):
@@ -177,8 +174,6 @@ def test_real_time_for_a_while_leaves_nothing_behind():
 
 # Who made a tick late is told from the guardian's pause: machine, host, or this program alone.
 START = 10**12
-
-
 JUST = LEAST_NS // MS
 NEVER = -START // MS, -START // MS  # no pause, as the page says it: from 0 to 0 [ns]
 

@@ -89,20 +89,14 @@ def test_a_process_that_has_ended_takes_no_job_and_its_descriptors_are_closed(wa
 
 
 # Processes of a run: whose exit code counts in the end, and whose descriptors are whose.
-def ended(code):
-    """A child that has ended with a code."""
-    return SimpleNamespace(process=subprocess.Popen(["sh", "-c", f"exit {code}"]))
-
-
 @pytest.mark.parametrize(
     ("core", "recorder", "viewer", "code"), [(0, 0, 0, 0), (0, 5, 0, 5), (3, 5, 0, 3), (0, 0, 9, 0)]
 )
-def test_the_cores_code_counts_then_the_recorders_never_the_viewers(
-    core, recorder, viewer, code, capsys
-):
+def test_the_exit_code_is_the_cores_or_the_recorders(core, recorder, viewer, code, capsys):
     ours, theirs = socket.socketpair()
     codes = {"core": core, "recorder": recorder, "gateway": 0, "viewer": viewer}
-    children = {name: ended(each) for name, each in codes.items()}
+    began = {name: subprocess.Popen(["sh", "-c", f"exit {each}"]) for name, each in codes.items()}
+    children = {name: SimpleNamespace(process=process) for name, process in began.items()}
     run = RunProcesses(children, {"requests": ours.detach()}, {})
     assert run.end() == code
     assert theirs.recv(1) == b""  # the core's end of the requests sees that nobody asks any more

@@ -1,7 +1,4 @@
-"""The runner: what it watches itself (W8, W16, W26 to W29), its deadlines, its order of work.
-
-Proposals of the learner too: a few a tick, and a learner that ends is no fault.
-"""
+"""The runner: what it watches itself (W8, W16, W26 to W29), deadlines, order of work, proposals."""
 
 import os
 import resource
@@ -22,7 +19,6 @@ from steerd.daemon.loop.findings import CAUSES, Flag, Severity
 from steerd.daemon.loop.supervisor import NEVER, STILL_NS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import guard as guard_module
-from steerd.daemon.process import runner as runner_module
 from steerd.daemon.process.bus_operator import Operator
 from steerd.daemon.process.guard import ProcessGuard, make_page_fd
 from steerd.daemon.process.heartbeat import HeartbeatPage
@@ -30,7 +26,7 @@ from steerd.daemon.process.pacing import MARGIN
 from steerd.daemon.process.runner import CoreLinks, Runner
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import topics
-from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import RequestKind, Tick
 from steerd.steer_bus.quick_values import changed
 from steerd.vesc_link.transport import LinkDown
@@ -41,32 +37,25 @@ REAL = RunId(1, 0, leased=True)
 NOBODY = PipeWriter(-1), PipeWriter(-1)  # pipes that nobody reads
 
 
-def make_port():
-    """A serial port that keeps what is written."""
-    port = Mock(fd=5, sent=[])
-    port.write.side_effect, port.out_queue.return_value = port.sent.append, 0
-    return port
+OPTIONS = RunOptions(car_file="", path="line", speed=1.0)
 
-
-def make_guard():
-    """A guardian that is alive and has not tripped; a test sets its answers."""
-    guard = Mock(spec=ProcessGuard, page=HeartbeatPage(make_page_fd()))
-    guard.is_silent.return_value = guard.has_tripped.return_value = False
-    return guard
-
-
-@pytest.fixture(scope="module")
-def plan():
-    return make_plan(RunOptions(car_file="", path="line", speed=1.0), real=REAL)
+plan = pytest.fixture(lambda: make_plan(OPTIONS, real=REAL), scope="module")
 
 
 def make_runner(plan, sinks=(), requests=(), **record):
-    """A runner with an open port; `notes` keeps what its core posts."""
+    """A runner with an open port, which keeps what is written, and a guardian that is alive.
+
+    A test sets their answers; `notes` keeps what the core posts.
+    """
+    port = Mock(fd=5, sent=[])
+    port.write.side_effect, port.out_queue.return_value = port.sent.append, 0
+    guard = Mock(spec=ProcessGuard, page=HeartbeatPage(make_page_fd()))
+    guard.is_silent.return_value = guard.has_tripped.return_value = False
     settings, notes = replace(plan.settings, record=replace(plan.settings.record, **record)), []
     core = make_core(
         replace(plan, settings=settings), (lambda records, _t_ns: notes.extend(records), *sinks)
     )
-    pipes, guard, port = (PipeWriter(-1), PipeWriter(-1)), make_guard(), make_port()
+    pipes = PipeWriter(-1), PipeWriter(-1)
     clock = SimpleNamespace(now_ns=lambda: 0, realtime_ns=lambda: 0)
     links = CoreLinks(*pipes, tuple(requests), -1)
     made = Runner(core, clock, lambda: port, World(10 * MS), links, guard)
@@ -352,15 +341,15 @@ def ticks_of(monkeypatch, every_ns: int, count: int = 400, **wrong: int):
     notes: list[Tick] = []
 
     def sink(records, _t_ns):
-        notes.extend(decode(Tick, r.data) for r in records if r.topic is topics.TICK)
+        notes.extend(r.message for r in records if r.topic is topics.TICK)
         world.t_ns += 4 * MS // 10
 
-    plan = make_plan(RunOptions(car_file="", path="line", speed=1.0, rate_hz=100.0), real=REAL)
+    plan = make_plan(replace(OPTIONS, rate_hz=100.0), real=REAL)
     world = World(every_ns, **wrong)
     core = make_core(plan, (sink,))
     arrivals: list[int] = []
     core.on_poses = lambda samples: arrivals.extend(s.t_arrival_ns for s in samples)
-    monkeypatch.setattr(runner_module.select, "select", world.select)
+    monkeypatch.setattr("select.select", world.select)
     guard = SimpleNamespace(has_tripped=lambda: False, page=None)
     it = Runner(core, world, lambda: None, world, CoreLinks(*NOBODY, (), STOP), guard)
     it._try_open = lambda _t_ns: None
@@ -403,22 +392,23 @@ def test_no_rate_of_mocap_makes_ticks_uneven(monkeypatch, hz):
     assert 0.8 < spans.min() <= spans.max() < 1.2
 
 
-def bare_runner(links, world=None, **core):
+def bare_runner(world=None, designs=None, **core):
     """A runner whose core has nothing but what is given."""
     plan = SimpleNamespace(period_ns=10 * MS, run=SimpleNamespace(boot_id=1))
     made = SimpleNamespace(loop=SimpleNamespace(plan=plan), **core)
+    links = CoreLinks(*NOBODY, (), STOP, designs)
     return Runner(made, world, lambda: None, world, links, SimpleNamespace())
 
 
 def runner_with(monkeypatch, world, notes):
     """A runner whose core only notes its calls."""
     it = bare_runner(
-        CoreLinks(*NOBODY, (), STOP), world,
+        world,
         tick=lambda *_: notes.append("decided") or b"order",
         post_tick=lambda written: notes.append(f"posted {written.decode()}"),
         on_poses=lambda _samples: None,
     )  # fmt: skip
-    monkeypatch.setattr(runner_module.select, "select", world.select)
+    monkeypatch.setattr("select.select", world.select)
     it._write = lambda wire, _t_ns: notes.append(wire.decode()) or wire
     it._set_flags, it._leave = lambda late_ns: None, lambda: None
     it._housekeeping = lambda _t_ns: notes.append("tidied")
@@ -495,8 +485,7 @@ def test_a_late_tick_says_whether_host_or_guardian_stood_still_too(
 def reader(ends):
     """A runner that only reads proposals, and what its core was offered."""
     offered = []
-    links = CoreLinks(*NOBODY, (), -1, ends[1])
-    it = bare_runner(links, on_proposal=lambda data, t_ns: offered.append((data, t_ns)))
+    it = bare_runner(designs=ends[1], on_proposal=lambda *given: offered.append(given))
     return SimpleNamespace(it=it, offered=offered, read=it._read_designs)
 
 

@@ -14,6 +14,7 @@ import resource
 import struct
 from dataclasses import replace
 from functools import partial
+from itertools import count
 from math import inf, nan
 from pathlib import Path
 
@@ -23,32 +24,40 @@ from mcap.writer import Writer  # noqa: TID251
 
 from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus import messages as m
-from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.codec import encode
 from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.session_read import open_session
-from steerd.steer_bus.topics import find_topic
 
 pytestmark = pytest.mark.slow
 
 SECOND = 1_000_000_000
 FREE = ("--free", "steer_lag")  # what is searched before so short a drive is refused
-KEPT = (m.MocapPose, m.Actuation, m.StateMessage, m.Tick, m.Transition, m.VescTelemetry)
+KEPT = ("/mocap", "/actuation", "/state", "/tick", "/transition", "/vesc")
+
+
+def steerd(*argv):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = run_cli([str(arg) for arg in argv])
+    assert "Traceback" not in err.getvalue()
+    assert len(err.getvalue().splitlines()) < 20
+    return int(code), out.getvalue(), err.getvalue()
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory):
-    """Records (topic, log_ns, message) of a short simulated drive."""
+def recorded(tmp_path_factory):
+    """A short simulated drive, as the recorder writes it."""
     path = tmp_path_factory.mktemp("drive") / "drive.mcap"
-    with contextlib.redirect_stdout(io.StringIO()):
-        words = ["run", "--sim", "--fast", "--duration", "1.5", "--record", str(path)]
-        assert run_cli(words) == 0
-    found = []
-    for record in open_session(path).messages():
-        topic = find_topic(record.topic)
-        if topic is not None and topic.message in KEPT:
-            found.append((record.topic, record.log_ns, decode(topic.message, record.data)))
-    return found
+    assert steerd("run", "--sim", "--fast", "--duration", "1.5", "--record", path)[0] == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def drive(recorded):
+    """Records (topic, log_ns, message) of it."""
+    records = open_session(recorded).messages()
+    return [(r.topic, r.log_ns, r.decode()) for r in records if r.topic.endswith(KEPT)]
 
 
 def write(path, records, *, encoding="cdr", rename=None, schema=schema_text, encoder=encode):
@@ -71,19 +80,13 @@ def of(cls, change):
     """Change every message of a class with (message, index, rng)."""
 
     def spoil(records, rng):
-        count, changed = 0, []
-        for topic, log_ns, message in records:
-            if isinstance(message, cls):
-                message = change(message, count, rng)
-                count += 1
-            changed.append((topic, log_ns, message))
-        return changed
+        numbers = count()
+        return [
+            (*r[:2], change(r[2], next(numbers), rng)) if isinstance(r[2], cls) else r
+            for r in records
+        ]
 
     return spoil
-
-
-poses = partial(of, m.MocapPose)
-commands = partial(of, m.Actuation)
 
 
 def times(change):
@@ -109,6 +112,13 @@ def standing(records, rng):
     return of(m.StateMessage, lambda s, i, _: replace(s, **still, speed=0.0))(records, rng)
 
 
+def replacing(old, new):
+    """A schema whose text lies."""
+    return {"schema": lambda cls: schema_text(cls).replace(old, new)}
+
+
+poses = partial(of, m.MocapPose)
+commands = partial(of, m.Actuation)
 BAD = {
     "25 topic missing": without(m.MocapPose), "25b commands missing": without(m.Actuation),
     "33 times not rising": shuffled, "34 all times zero": times(lambda i, ns, rng: 0),
@@ -147,13 +157,6 @@ BAD = {
     "64b unknown states": of(m.Transition, lambda t, i, rng: replace(t, to_state=200 + i)),
     "64c torn clock": poses(lambda p, i, rng: replace(p, t_valid_ns=-1, t_arrival_ns=2**63 - 1)),
 }  # fmt: skip
-
-
-def replacing(old, new):
-    """A schema whose text lies."""
-    return {"schema": lambda cls: schema_text(cls).replace(old, new)}
-
-
 CHANNELS = {
     "26 a renamed topic": {"rename": {"/steerd/car1/mocap": "/tf"}},
     "27 another version": replacing("float64 yaw\n", "float32 yaw\n"),
@@ -167,24 +170,10 @@ CHANNELS = {
 }
 
 
-def steerd(*argv):
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = run_cli([str(arg) for arg in argv])
-    assert "Traceback" not in err.getvalue()
-    assert len(err.getvalue().splitlines()) < 20
-    return int(code), out.getvalue(), err.getvalue()
-
-
-def _forget_peak():
-    """The process' largest memory so far is what it has now [KiB]: other tests have had theirs."""
-    Path("/proc/self/clear_refs").write_text("5")
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-
-
 def check_info(path):
     """`steerd info` on it: a known code, nothing endless, JSON that strict readers take."""
-    had, used = _forget_peak(), resource.getrusage(resource.RUSAGE_SELF).ru_utime
+    Path("/proc/self/clear_refs").write_text("5")  # forget the largest memory of other tests
+    before = resource.getrusage(resource.RUSAGE_SELF)
     code, out, err = steerd("info", path)
     assert code in (0, 3, 4)
     assert out or err.startswith("steerd: ")
@@ -192,8 +181,9 @@ def check_info(path):
     code, out, err = steerd("info", path, "--json")
     if code == 0:
         json.loads(out, parse_constant=pytest.fail)
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_utime - used < 20.0
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - had < 2 << 20, "2 GiB"
+    after = resource.getrusage(resource.RUSAGE_SELF)
+    assert after.ru_utime - before.ru_utime < 20.0
+    assert after.ru_maxrss - before.ru_maxrss < 2 << 20, "2 GiB"
     return code, out, err
 
 
@@ -228,27 +218,6 @@ def test_20_a_file_that_grows_while_it_is_read(drive, tmp_path):
 
 # Containers, 1 to 24.
 MAGIC = b"\x89MCAP0\r\n"
-CAR = {"steerd.session": {"car": "blue"}}
-
-
-@pytest.fixture(scope="module")
-def whole(drive, tmp_path_factory):
-    """The drive as the recorder writes it."""
-    path, topics = tmp_path_factory.mktemp("whole") / "a.mcap", {r[0]: type(r[2]) for r in drive}
-    writer = SessionWriter(path, topics, CAR)
-    for topic, log_ns, message in drive:
-        writer.write(topic, encode(message), log_ns)
-        writer.tick(log_ns)
-    return writer.finish({"reason": "end"}).read_bytes()
-
-
-@pytest.fixture
-def put(tmp_path):
-    def write_bytes(content, name="a.mcap"):
-        (tmp_path / name).write_bytes(content)
-        return tmp_path / name
-
-    return write_bytes
 
 
 @pytest.mark.parametrize(("content", "code", "words"), [
@@ -260,12 +229,13 @@ def put(tmp_path):
     (MAGIC + struct.pack("<BQ", 6, 1 << 63), 4, "holds no session"),  # 12
 ], ids=["empty", "magic", "other_magic", "text", "sqlite", "endless"])  # fmt: skip
 @pytest.mark.parametrize("command", ["info", "recover"])
-def test_what_is_no_session(put, command, content, code, words):
-    path = put(content)
+def test_what_is_no_session(tmp_path, command, content, code, words):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
     found, out, err = steerd(command, path)
     assert (found, out) == (code, "")
     assert words in err
-    assert list(path.parent.iterdir()) == [path]
+    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("command", ["info", "recover"])
@@ -279,7 +249,8 @@ def test_what_is_no_file(tmp_path, command):
 
 def test_thousands_of_channels_and_messages_that_are_not_their_schema(tmp_path):  # 19
     names = [f"/steerd/blue/{name}" for name in ("mocap", *map(str, range(4000)))]
-    writer = SessionWriter(tmp_path / "a.mcap", dict.fromkeys(names, m.MocapPose), CAR)
+    about = {"steerd.session": {"car": "blue"}}
+    writer = SessionWriter(tmp_path / "a.mcap", dict.fromkeys(names, m.MocapPose), about)
     for name in names:
         writer.write(name, b"\x00\x01\x00\x00junk", 1)
     code, out, err = steerd("info", writer.finish({}))
@@ -288,11 +259,12 @@ def test_thousands_of_channels_and_messages_that_are_not_their_schema(tmp_path):
     assert "not what its schema says" in err
 
 
-def test_recovery_names_its_file(whole, put, tmp_path):
-    code, out, _ = steerd("recover", put(whole))
+def test_recovery_names_its_file(recorded, tmp_path):
+    code, out, _ = steerd("recover", recorded)
     assert code == 0
     assert "nothing to recover" in out
-    path = put(whole[: len(whole) // 2], "a.mcap.partial")
+    whole, path = recorded.read_bytes(), tmp_path / "a.mcap.partial"
+    path.write_bytes(whole[: len(whole) // 2])
     assert "warning: " in steerd("info", path)[2]
     code, out, err = steerd("recover", path)
     assert (code, "saved" in out, "warning: " in err) == (0, True, True)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.sessions import catalogue
 
@@ -98,17 +97,17 @@ def test_tags_and_notes_go_where_the_file_goes(folder):
 
 
 def test_the_command_lists_tags_and_filters(folder, cli):
-    assert run_cli(["sessions", "tag", "@-3", "wet"]) == 0
-    assert run_cli(["sessions", "note", "@last", "left tyre", "changed"]) == 0
-    lines = cli("sessions").out.splitlines()
+    cli("sessions", "tag", "@-3", "wet")
+    cli("sessions", "note", "@last", "left tyre", "changed")
+    text = cli("sessions").out
+    lines = text.splitlines()
     assert max(map(len, lines)) <= 80
-    text = "\n".join(lines)
     assert text.index("@last") < text.index("left tyre changed") < text.index("@-2")
     assert "#wet" in lines[-1]
     (only,) = json.loads(cli("sessions", "--tag", "wet", "--json").out)["sessions"]
     assert Path(only["path"]).stem == "circle"
-    assert run_cli(["sessions", "untag", "@-3", "wet"]) == 0
-    assert run_cli(["sessions", "--folder", "nowhere"]) == ExitCode.UNREADABLE
+    cli("sessions", "untag", "@-3", "wet")
+    cli("sessions", "--folder", "nowhere", code=ExitCode.UNREADABLE)
 
 
 def test_the_page_leads_to_each_drives_page_from_wherever_it_lies(folder, tmp_path, cli):
@@ -120,9 +119,9 @@ def test_the_page_leads_to_each_drives_page_from_wherever_it_lies(folder, tmp_pa
     assert '<a href="a%20%231%20%3Cb%3E.html">a #1 &lt;b&gt;</a>' in page
     assert page.count("<a ") == 1
     assert "emergency stop called · #wet" in page
-    assert run_cli(["sessions", "--page", str(tmp_path / "all.html")]) == 0
+    cli("sessions", "--page", tmp_path / "all.html")
     assert 'href="drives/a%20' in (tmp_path / "all.html").read_text(encoding="utf-8")
-    assert run_cli(["sessions", "--page", str(folder)]) == ExitCode.UNREADABLE
+    cli("sessions", "--page", folder, code=ExitCode.UNREADABLE)
 
 
 def test_a_command_without_a_session_takes_the_last_one_and_says_so(folder, cli):

@@ -1,7 +1,4 @@
-"""`steerd info`: a drive of known motion is summarised, on a terminal and as JSON.
-
-The motion of known drives, checks of units, signs and axes, and the lateral error shown.
-"""
+"""`steerd info`: known drives, on a terminal and as JSON; checks of units, signs and axes."""
 
 import json
 import math
@@ -180,22 +177,15 @@ START_NS = 10**18
 RUNNING = np.array([0, 1, 1, 1, 1, 1, 0, 0, 1, 1, 1, 1], dtype=bool)
 
 
-@pytest.fixture
-def state():
+def test_each_start_settles_anew_and_errors_are_sizes_where_they_are_known():
     """One row a second; the error is the row's number in centimetres, to either side."""
     seconds = np.arange(len(RUNNING))
-    return {
-        "stamp_ns": START_NS + seconds.astype(np.int64) * 10**9,
-        "mode": np.where(RUNNING, int(SupervisorState.RUNNING), int(SupervisorState.ARMED)),
-        "e1": 0.01 * seconds * np.where(seconds % 2, -1.0, 1.0),
-    }
-
-
-def test_each_start_settles_anew_and_errors_are_sizes_where_they_are_known(state):
-    settled = motion.find_settled(state, seconds_since(START_NS, state["stamp_ns"]))
-    assert np.flatnonzero(settled).tolist() == [4, 5, 11]
+    t = seconds_since(START_NS, START_NS + seconds * 10**9)
+    mode = np.where(RUNNING, int(SupervisorState.RUNNING), int(SupervisorState.ARMED))
+    state = {"mode": mode, "e1": 0.01 * seconds * np.where(seconds % 2, -1.0, 1.0)}
+    assert np.flatnonzero(motion.find_settled(state, t)).tolist() == [4, 5, 11]
     assert motion.SETTLE == 3.0
     state["e1"][5] = np.nan
-    errors = motion.settled_errors(state, seconds_since(START_NS, state["stamp_ns"]))
+    errors = motion.settled_errors(state, t)
     assert errors == pytest.approx([0.04, 0.11])
     assert motion.rms(errors) == pytest.approx(np.sqrt((0.04**2 + 0.11**2) / 2))

@@ -19,6 +19,7 @@ from steerd.steer_bus.topics import TOPICS, find_topic, make_session_topic
 from tests.safety.report import write_thresholds
 
 ROOT = Path(__file__).resolve().parents[4]
+FRAME_KEYS = {f"{k}_deg" if k in FRAME_ANGLES else k for k in FrameConfig.__slots__}
 
 
 def first_cells(page, head):
@@ -27,9 +28,6 @@ def first_cells(page, head):
     start = next(i for i, line in enumerate(lines) if line.startswith(head))
     rows = takewhile(lambda line: line.startswith("|"), lines[start + 2 :])
     return [name for row in rows for name in re.findall(r"`([^`]+)`", row.split("|")[1])]
-
-
-FRAME_KEYS = {f"{k}_deg" if k in FRAME_ANGLES else k for k in FrameConfig.__slots__}
 
 
 @pytest.mark.parametrize(("page", "head", "known"), [

@@ -28,9 +28,7 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.container import TopicInfo
-from steerd.steer_bus.messages import BODY, Model, make_header
 from steerd.steer_bus.session import SessionWriter
-from steerd.steer_bus.topics import MOCAP, MODEL, WHEEL, make_session_topic
 from steerd.sysid.report.drawing import LINES
 from steerd.sysid.report.page import render_report
 from steerd.sysid.report.report import Report
@@ -47,33 +45,39 @@ def unpack(packed, slots):
     return np.where(kinds == VALUE, low + level / LEVELS * (high - low), np.nan), kinds
 
 
-def write_noise(path, seconds, rate, *, options=None, files=None, reason="end", car_name="noisy"):
-    """White noise on every curve: nothing packs worse."""
-    rng = np.random.default_rng(3)
-    table = (topics.STATE, topics.MOCAP, topics.ACTUATION, topics.TICK, topics.TRANSITION)
-    names = {topics.make_session_topic(car_name, t): t.message for t in table}
-    about = {"car": car_name, "mode": "hw", "epoch_ns": str(EPOCH)}
-    about |= {"options": encode_options(options)} if options else {}
-    writer = SessionWriter(path, names, {"steerd.session": about}, files or {})
-    maker = MessageMaker(EPOCH)
+def write(path, sent, *, files=None, reason="end", **about):
+    """A session of these (topic, time [ns], message)."""
+    sent, about = list(sent), {"car": "car1", **about}
+    names = {topic: topics.make_session_topic(about["car"], topic) for topic, *_ in sent}
+    classes = {name: topic.message for topic, name in names.items()}
+    writer = SessionWriter(path, classes, {"steerd.session": about}, files or {})
+    for topic, t_ns, message in sent:
+        writer.write(names[topic], encode(message), t_ns)
+    return writer.finish({"reason": reason})
 
-    def put(topic, message, t_ns):
-        writer.write(topics.make_session_topic(car_name, topic), encode(message), t_ns + EPOCH)
 
-    put(topics.TRANSITION, m.Transition(m.make_header(EPOCH, m.BODY), 4, 5, "c", "go"), 0)
+def make_noise(seconds, rate):
+    rng, maker = np.random.default_rng(3), MessageMaker(EPOCH)
+    yield topics.TRANSITION, EPOCH, m.Transition(m.make_header(EPOCH, m.BODY), 4, 5, "c", "go")
     for i in range(int(seconds * rate)):
         t = round(i / rate * 1e9)
+        now = t + EPOCH
         x, y, yaw = rng.normal(size=3).tolist()
-        r, head = rng.normal(size=24), m.make_header(t + EPOCH, m.WORLD)
+        r, head = rng.normal(size=24), m.make_header(now, m.WORLD)
         e1 = 0.02 if i % 2 else -0.02
         numbers = np.array([*r[:7], *np.abs(r[7:14]), e1, *r[15:20], abs(r[20])]).tolist()
-        put(topics.STATE, m.StateMessage(head, t, i, 0, SupervisorState.RUNNING, *numbers), t)
-        put(topics.MOCAP, maker.planar_pose(t, x, y, yaw), t)
-        put(topics.ACTUATION, maker.command(t, *rng.normal(size=2).tolist()), t)
+        state = m.StateMessage(head, t, i, 0, SupervisorState.RUNNING, *numbers)
+        yield topics.STATE, now, state
+        yield topics.MOCAP, now, maker.planar_pose(t, x, y, yaw)
+        yield topics.ACTUATION, now, maker.command(t, *rng.normal(size=2).tolist())
         late, work = rng.integers(0, 1_000_000, 2).tolist()
-        tick = m.Tick(m.make_header(t + EPOCH, m.BODY), t, t + late, work, i, 0)
-        put(topics.TICK, tick, t)
-    return writer.finish({"reason": reason})
+        yield topics.TICK, now, m.Tick(m.make_header(now, m.BODY), t, t + late, work, i, 0)
+
+
+def write_noise(path, seconds, rate, **more):
+    """White noise on every curve: nothing packs worse."""
+    about = {"car": "noisy", "mode": "hw", "epoch_ns": str(EPOCH)}
+    return write(path, make_noise(seconds, rate), **about, **more)
 
 
 def page_of(path):
@@ -138,15 +142,16 @@ def test_the_lane_comes_from_the_session(tmp_path):
     rows = "\n".join(f"{2 * np.cos(a):.6f},{2 * np.sin(a):.6f}" for a in np.arange(0, 6.2, 0.1))
     kept = {"path.csv": f"# x_m,y_m\n{rows}\n".encode()}
 
-    def lane_of(name, options, files=None):
-        path = write_noise(tmp_path / f"{name}.mcap", 2, 20, options=options, files=files)
+    def lane_of(name, files=None, **options):
+        said = encode_options(RunOptions("", **options))
+        path = write_noise(tmp_path / f"{name}.mcap", 2, 20, options=said, files=files)
         return plot_data.load_lane(load_session(path))
 
-    elsewhere = RunOptions("", path="csv:/somewhere/else.csv,place=as-is")
-    lane = lane_of("a", elsewhere, kept)
+    elsewhere = "csv:/somewhere/else.csv,place=as-is"
+    lane = lane_of("a", kept, path=elsewhere)
     assert np.hypot(lane.x, lane.y) == pytest.approx(2.0, abs=0.01)
-    assert lane_of("b", elsewhere) is None
-    assert lane_of("c", RunOptions("", drill="mixed;open")) is None
+    assert lane_of("b", path=elsewhere) is None
+    assert lane_of("c", drill="mixed;open") is None
 
 
 def test_the_table_holds_the_curves(tmp_path, cli):
@@ -217,19 +222,17 @@ def test_a_curve_is_sorted_and_broken_where_samples_are_missing_and_none_without
     assert list(make_curve("e1", "estimate", t, np.full(4, nan))) == []
 
 
-def write(path, files=None):
-    maker = MessageMaker(0)
-    names = {make_session_topic("car1", topic): topic.message for topic in (MOCAP, WHEEL)}
-    writer = SessionWriter(path, names, {"steerd.session": {"car": "car1"}}, files or {})
-    for i in range(100):
-        t = i * 10_000_000
-        writer.write("/steerd/car1/mocap", encode(maker.planar_pose(t, 0.02 * i, 0.0, 0.0)), t)
-        writer.write("/steerd/car1/wheel", encode(maker.wheel(t, 1.9)), t)
-    return load_recording(writer.finish({"reason": "imported"}))
+def write_log(path, files=None):
+    """Poses and wheel speeds of a log that was imported."""
+    maker, sent = MessageMaker(0), []
+    for t in range(0, 1_000_000_000, 10_000_000):
+        sent.append((topics.MOCAP, t, maker.planar_pose(t, 2e-9 * t, 0.0, 0.0)))
+        sent.append((topics.WHEEL, t, maker.wheel(t, 1.9)))
+    return load_recording(write(path, sent, files=files, reason="imported"))
 
 
 def test_a_log_without_an_estimate_shows_the_speed_of_its_poses_beside_the_wheels(tmp_path):
-    drawing = make_drawing(write(tmp_path / "a.mcap"))
+    drawing = make_drawing(write_log(tmp_path / "a.mcap"))
     (speed,) = [panel for panel in drawing.panels if panel.title == "speed"]
     speeds = {curve.name: round(float(np.median(curve.value)), 3) for curve in speed.curves}
     assert speeds == {"wheels": 1.9, "from poses": 2.0}
@@ -241,7 +244,7 @@ def test_a_log_without_an_estimate_shows_the_speed_of_its_poses_beside_the_wheel
     ("a.svg", b"<?xml"), ("a.png", b"\x89PNG"), ("a.pdf", b"%PDF"),
 ])  # fmt: skip
 def test_figures_are_the_same_each_time(tmp_path, cli, name, head):
-    write(tmp_path / "a.mcap")
+    write_log(tmp_path / "a.mcap")
     made = []
     for _ in range(2):
         cli("plot", tmp_path / "a.mcap", "-o", tmp_path / name)
@@ -255,34 +258,27 @@ def test_figures_are_the_same_each_time(tmp_path, cli, name, head):
 ])  # fmt: skip
 def test_the_lane_is_as_wide_as_the_watchdog_of_the_recorded_car_file_allows(tmp_path, text, width):
     car = {"car.toml": text.encode()}
-    assert make_drawing(write(tmp_path / "a.mcap", car)).half_width == width
+    assert make_drawing(write_log(tmp_path / "a.mcap", car)).half_width == width
 
 
 # The learner's panels of the plot page.
 NS = 1_000_000_000
-START = 1_700_000_000 * NS
-EMPTY = Model(make_header(START, BODY), 0, -1, -1, 0, 0, nan, *(nan,) * 34, "learning", *("",) * 4)
+NUMBERS_OF_NOTHING = (0, -1, -1, 0, 0, nan, *(nan,) * 34, "learning", *("",) * 4)
 
 
-@pytest.fixture
-def session(tmp_path):
+def make_reports():
     """Ten reports: nothing at first, then a bias; from the seventh on a change at 5.5 s."""
-    topic = make_session_topic("car1", MODEL)
-    about = {"steerd.session": {"car": "car1"}}
-    writer = SessionWriter(tmp_path / "a.mcap", {topic: Model}, about, {}, START)
     change = {"since_ns": round(105.5 * NS), "effect": "steer_bias", "verdict": "named"}
     for second in range(10):
-        message = replace(
-            EMPTY, header=make_header(START + second * NS, BODY), mono_ns=(100 + second) * NS,
-            steer_bias=nan if second < 3 else 0.01, steer_bias_sd=1e-3,
-            **(change if second >= 7 else {"verdict": "none"}),
-        )  # fmt: skip
-        writer.write(topic, encode(message), START + second * NS)
-    return load_recording(writer.finish({"reason": "end"}))
+        now = EPOCH + second * NS
+        said = change if second >= 7 else {"verdict": "none"}
+        bias = {"steer_bias": nan if second < 3 else 0.01, "steer_bias_sd": 1e-3}
+        nothing = m.Model(m.make_header(now, m.BODY), *NUMBERS_OF_NOTHING)
+        yield topics.MODEL, now, replace(nothing, mono_ns=(100 + second) * NS, **bias, **said)
 
 
-def test_a_parameter_that_was_learnt_has_a_band_and_a_change_a_line(session):
-    panels = make_drawing(session).panels
+def test_a_parameter_that_was_learnt_has_a_band_and_a_change_a_line(tmp_path):
+    panels = make_drawing(load_recording(write(tmp_path / "a.mcap", make_reports()))).panels
     (panel,) = [p for p in panels if p.title == "learnt: steering bias"]
     value, above, below, change = panel.curves
     np.testing.assert_allclose(value.t, np.arange(3, 10))

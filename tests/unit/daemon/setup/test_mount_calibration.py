@@ -1,7 +1,6 @@
 """The mount is recovered from drives with a known one; drives that identify none are refused."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +21,9 @@ from steerd.sysid.data.dataset import Signal
 
 CAR = load_car(default_car_path()).car
 TRUTH = Mount(np.radians(3.0), 0.21, -0.015, 1.07, 0.018)
+ACROSS = [
+    Mount(turn, -0.05, 0.08, 0.93, 0.0) for turn in (np.pi / 2, -np.pi / 2, np.pi - 0.1, -2.0)
+]
 DT = 1e-3
 
 
@@ -52,15 +54,9 @@ def slow_drive(
     return Drive(shown, px + 3e-4 * noise[0], py + 3e-4 * noise[1], body, shown, wheel)
 
 
-ACROSS = [
-    Mount(turn, -0.05, 0.08, 0.93, 0.0) for turn in (np.pi / 2, -np.pi / 2, np.pi - 0.1, -2.0)
-]
-
-
-@pytest.mark.parametrize(
-    ("truth", "seed", "front"),
-    [(TRUTH, 0, 0.0), (TRUTH, 2, 0.5), (TRUTH, 3, 1.0), *((truth, 1, 0.0) for truth in ACROSS)],
-)
+@pytest.mark.parametrize(("truth", "seed", "front"), [
+    (TRUTH, 0, 0.0), (TRUTH, 2, 0.5), (TRUTH, 3, 1.0), *((truth, 1, 0.0) for truth in ACROSS),
+])  # fmt: skip
 def test_the_injected_truth_is_found(truth, seed, front):
     found = calibrate_mount(slow_drive(truth, seed=seed, front=front), CAR, front)
     mount = found.mount
@@ -160,22 +156,16 @@ def test_drives_that_identify_no_steering_or_badly_are_refused():
 
 
 # Sessions as input of calibrations: the body's poses, wheel speed and commands on one clock.
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    """Two seconds of a circle on simulated hardware."""
-    path = tmp_path_factory.mktemp("calibration") / "circle.mcap"
-    on = {"speed": 1.0, "simulated": True, "auto_arm": True, "duration_s": 2.0}
-    record_virtual(make_plan(RunOptions("", path="circle:radius=2", **on)), path, drive)
-    return load_recorded(path)
-
-
-def test_rejected_poses_calibrate_nothing_and_what_a_session_lacks_is_named(recorded, monkeypatch):
+def test_rejected_poses_calibrate_nothing_and_what_a_session_lacks_is_named(tmp_path, monkeypatch):
+    path, on = tmp_path / "drive.mcap", {"simulated": True, "auto_arm": True, "duration_s": 2.0}
+    record_virtual(make_plan(RunOptions("", path="circle:radius=2", speed=1.0, **on)), path, drive)
+    recorded = load_recorded(path)
     (name, table), *_ = ((n, t) for n, t in recorded.read.tables.items() if "reject" in t)
     jumped = np.where(np.arange(len(table["reject"])) % 10 == 3, "jump", table["reject"])
     tables = {**recorded.read.tables, name: {**table, "reject": jumped}}
     read = replace(recorded.read, tables=tables)
     monkeypatch.setattr("steerd.daemon.setup.calibration_data.load_recording", lambda _: read)
-    assert set(load_recorded(Path("drive.mcap")).poses["reject"]) == {""}
+    assert set(load_recorded(path).poses["reject"]) == {""}
     empty = replace(recorded, read=replace(recorded.read, tables={}))
     with pytest.raises(SteerdError, match="no wheel speed"):
         make_drive(empty)

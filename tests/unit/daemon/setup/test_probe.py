@@ -99,8 +99,6 @@ def test_ports_by_their_usb_ids(tmp_path):
 
 
 # `steerd mocap check`: a sound room passes, each wrong axis or unit is named with its remedy.
-
-
 ROOM = FrameConfig(up="y", body_forward="+z")
 
 
