@@ -26,7 +26,7 @@ def pole_placement_gains(car: Car[float], speed: float, poles: tuple[complex, ..
     Raises:
         DesignRefused: the poles cannot be placed.
     """
-    # It takes a second or two to import, with what it draws with.
+    # Imported here: with the plotting library that it loads it takes a second or two.
     import control  # noqa: TID251
 
     model = lane_error_model(car, speed)

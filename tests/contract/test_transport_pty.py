@@ -182,12 +182,15 @@ def test_a_link_in_the_locks_place_is_not_followed(device, tmp_path):
 @pytest.mark.parametrize("there", [False, True])
 def test_locks_lie_in_a_folder_of_the_users_own(there, device, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    mask = os.umask(0)
+    folder = tmp_path / "steerd" / "locks"
     if there:  # and open to everybody
-        (tmp_path / "steerd" / "locks").mkdir(parents=True)
-        (tmp_path / "steerd" / "locks").chmod(0o777)
+        folder.mkdir(parents=True)
     port = transport.open_port(device.path)
-    (lock,) = (tmp_path / "steerd" / "locks").iterdir()
-    assert [p.stat().st_mode & 0o777 for p in (lock, lock.parent)] == [0o600, 0o700]
+    os.umask(mask)
+    (lock,) = folder.iterdir()
+    assert [p.stat().st_mode & 0o777 for p in (lock, folder)] == [0o600, 0o700]
+    assert there or folder.parent.stat().st_mode & 0o777 == 0o700
     port.close()
 
 

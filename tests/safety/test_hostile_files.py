@@ -190,6 +190,6 @@ def test_a_header_that_is_given_twice(twice, caplog):
 
 
 def test_a_drive_leaves_nothing_in_a_cache_that_a_later_one_would_believe(tmp_path):
-    record = ("--record", tmp_path / "drive.mcap")
-    assert command(*SIM, *record, XDG_CACHE_HOME=str(tmp_path / "cache"))[0] == 0
-    assert not [f for f in (tmp_path / "cache").rglob("*") if f.is_file()]
+    cache = tmp_path / "cache"
+    assert command(*SIM, "--record", tmp_path / "a.mcap", XDG_CACHE_HOME=str(cache))[0] == 0
+    assert not [f for f in cache.rglob("*") if f.is_file()]

@@ -1,6 +1,7 @@
 """The designs against what they promise, the table's lookup, the check of the closed loop."""
 
 import re
+from itertools import product
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from tests.designs import design_for, scaled, standard
 from tests.textbook import feedforward_steer, steady_slip
 
 TIMING = Timing(rate_hz=100.0, delay_s=0.025, lag_s=0.05)
+LOOPS = [Timing(*loop) for loop in product((50.0, 500.0), (0.0, 0.05), (0.0, 0.05))]
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 3.0])
@@ -42,14 +44,11 @@ def cost_of(gains: np.ndarray, weights: LqrWeights) -> float:
     return total
 
 
-@pytest.mark.parametrize("rate", [50.0, 500.0])
-@pytest.mark.parametrize("delay", [0.0, 0.05])
-@pytest.mark.parametrize("lag", [0.0, 0.05])
-def test_lqr_has_the_gains_of_python_control(rate, delay, lag):
-    timing, weights = Timing(rate, delay, lag), LqrWeights()
+@pytest.mark.parametrize("timing", LOOPS, ids=str)
+def test_lqr_has_the_gains_of_python_control(timing):
+    weights, lane = LqrWeights(), 5 if timing.lagging else 4
     for speed in (0.1, 1.0, 4.0):
         a, b = sampled_loop(DEFAULT_CAR, speed, timing)
-        lane = 5 if timing.lagging else 4
         cost = np.diag([*weights[:lane], *np.zeros(len(a) - lane)])
         expected, _, _ = dlqr(a, b, cost, [[weights.effort]])
         np.testing.assert_array_equal(lqr_gains(DEFAULT_CAR, speed, timing, weights), expected)

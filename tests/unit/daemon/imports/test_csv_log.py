@@ -217,7 +217,8 @@ POSE = '[columns]\nt = "t"\nx = "x"\ny = "y"\nyaw = "yaw"\n'
 
 
 def test_an_epoch_without_zone_is_utc_and_may_be_seconds():
-    for epoch in ("2024-09-16T10:01:01", "1726480861", "1726480861.0", "2024-09-16T12:01:01+02:00"):
+    same = ("2024-09-16T10:01:01", "2024-09-16T10:01:01Z", "2024-09-16T12:01:01+02:00")
+    for epoch in (*same, "1726480861", "1726480861.0"):
         the_map = parse_map(f"{POSE}[session]\nepoch = {epoch}\n")
         assert the_map.epoch_ns == 1_726_480_861_000_000_000
 
