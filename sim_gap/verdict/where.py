@@ -7,13 +7,12 @@ from itertools import groupby, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.inference import residuals
 from steerd.sysid.inference.disturbance_response import INPUTS, responses
 from steerd.sysid.inference.likelihood import Likelihood
-from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
+from steerd.sysid.inference.noise import Noise, covariance, likeliest_sizes, shapes
 from steerd.sysid.inference.predictor import Predictor
 from steerd.sysid.inference.residuals import Gap, interval_of, middle_of, robust_mean
 from steerd.sysid.inference.search import Point
@@ -34,6 +33,7 @@ _WORTH_NAMING = 1.5  # lower end of a regime's ratio before the sentence names i
 BIN_LEAST = 8
 _BINS = 3
 _SIZES = np.array([0.3, 0.3, 3.0, 0.01, 0.1])  # where the search for hidden inputs starts
+_WINDOWS = 50  # that are enough for it
 FEW = 0.1  # share of the windows that are few
 MOST = 0.5  # share of the excess error that is most of it
 _LIKE = 0.2  # what has more than this share of the worst window's excess belongs to it
@@ -127,39 +127,19 @@ def equation_shares(fits: Fits) -> tuple[Share, ...]:
     determination); inputs that explain nothing go to zero.
     """
     predictor, fitted = fits.predictor, fits.before
-    shaped = shapes(responses(predictor, fitted.parameters, fitted.x))
+    seen, error = responses(predictor, fitted.parameters, fitted.x), fitted.linear.error
+    known, shaped = covariance(predictor, fits.noise, seen[:3], error), shapes(seen)
     error, by_starts = predictor.about_guess(fitted.x, fitted.linear)
-    slip = slip_shape(predictor, fitted.linear.error)
-    known = covariance(predictor, fits.noise, [*shaped[:3], slip]) + by_starts
-    some = np.unique(np.linspace(0, len(error) - 1, 50).round().astype(int))
-    logs = np.log(_SIZES)
-    found = minimize(
-        _evidence, logs, (error[some], known[some], [v[some] for v in shaped]), jac=True,
-        method="L-BFGS-B", bounds=[(v - 7.0, v + 5.0) for v in logs], options={"maxiter": 25},
-    )  # fmt: skip
-    sizes = np.exp(2.0 * found.x)
+    known += by_starts
+    some = np.unique(np.linspace(0, len(error) - 1, _WINDOWS).round().astype(int))
+    there = predictor.padded.there[some]
+    parts = error[some], known[some], np.empty((0, *there.shape)), [v[some] for v in shaped], there
+    sizes = likeliest_sizes(_SIZES, (_SIZES * 1e-3, _SIZES * 1e2), parts) ** 2
     cov = known + sum(s * v for s, v in zip(sizes, shaped, strict=True))
     pulled = np.linalg.solve(cov, error[:, :, None])[:, :, 0]
     taken = sizes * [np.einsum("wi,wij,wj->", pulled, v, pulled) for v in shaped]
     shares = taken / max(float(taken.sum()), 1e-12)
     return tuple(Share(INPUTS[i], float(shares[i])) for i in np.argsort(-shares))
-
-
-def _evidence(
-    logs: Array, error: Array, known: Array, shaped: Sequence[Array]
-) -> tuple[float, Array]:
-    """Negative log-likelihood of the hidden inputs' variances, and its slope."""
-    squares = np.exp(2.0 * logs)
-    cov = known + sum(s * v for s, v in zip(squares, shaped, strict=True))
-    inverse = np.linalg.inv(cov)
-    halves = np.log(np.diagonal(np.linalg.cholesky(cov), axis1=1, axis2=2)).sum()
-    pulled = np.einsum("wij,wj->wi", inverse, error)
-    value = halves + 0.5 * float((error * pulled).sum())
-    slope = [
-        np.einsum("wij,wji->", inverse, v) - np.einsum("wi,wij,wj->", pulled, v, pulled)
-        for v in shaped
-    ]
-    return value, np.array(slope) * squares
 
 
 def channel_shares(fits: Fits) -> tuple[Share, ...]:

@@ -287,15 +287,16 @@ def screen_effects(library: Library, start: Point, far: bool = True) -> list[Can
     held = np.zeros_like(start.rotated.held)
     start = replace(start, rotated=start.rotated._replace(held=held))
     views = [library.likelihood.weigh(start.rotated, share * start.size) for share in _LOOKS]
-    level = _expected(library, start, views, start.space, start.linear.error)
+    prior = _prior(library, start.space, start.z)
+    level = _expected(library, start, views, prior, start.linear.error)
     found, temper = [], library.design_effect(start.size)
     for effect in (e for e in library.effects if e.name not in start.space.effects):
         known = library.controls.get(effect.name)
         healthy = [] if known is None else [tuple(known.values.tolist())]
         tried = _linear(library, start, effect)
         tried += _ladder(library, start, effect) if far or not tried else []
-        looks = list(_looks(library, start, views, effect, tried))
-        others = _looks(library, start, views, effect, healthy)
+        looks = list(_looks(library, start, views, effect, [*tried, *healthy]))
+        looks, others = looks[: len(tried)], looks[len(tried) :]
         # Without its parameter of the same name a base may move further: that gains no more.
         most = 0.0 if known is None else shown_most(library, known) * temper
         reference = max(min([level, *(look.cost for look in others)]), level - most)
@@ -321,31 +322,39 @@ def _looks(
     tried: Iterable[tuple[float, ...]],
 ) -> Iterable[Candidate]:
     """An effect at several values, the base stepped once beside each."""
-    space = library.space([*start.space.effects, effect.name])
+    space, likelihood = library.space([*start.space.effects, effect.name]), library.likelihood
     own = slice(len(space.centre) - len(effect.parameters), None)
     names = space.chart.free[: own.start]
     keep = np.array([start.space.chart.free.index(name) for name in names], int)
     if len(keep) < len(start.z):
         views = [view.take(keep) for view in views]
-    base = carry(library.likelihood, space, start)[: own.start]
+    base = carry(likelihood, space, start)[: own.start]
+    prior = _prior(library, space, base)
     for values in tried:
         z = np.clip(np.concatenate([base, values]), space.low, space.high)
-        error, finite = library.likelihood.predictor.errors(space.chart.parameters(z), start.x)
-        if finite:
-            here = replace(start, z=z[: own.start])
-            cost = _expected(library, here, views, space, error)
-            yield Candidate(effect.name, tuple(z[own].tolist()), cost)
+        error, finite = likelihood.predictor.errors(space.chart.parameters(z), start.x)
+        cost = _expected(library, start, views, prior, error) if finite else np.inf
+        yield Candidate(effect.name, tuple(z[own].tolist()), cost)
+
+
+def _prior(library: Library, space: Space, base: Array) -> tuple[Array, Array]:
+    """How far the base's coordinates (n,) are from their centre, and the precision of that."""
+    n = len(base)
+    precision = library.worth * np.linalg.inv(space.covariance[:n, :n])
+    return base - space.centre[:n], np.asarray(precision, np.float64)
 
 
 def _expected(
-    library: Library, start: Point, views: Sequence[Weighed], space: Space, error: Array
+    library: Library,
+    start: Point,
+    views: Sequence[Weighed],
+    prior: tuple[Array, Array],
+    error: Array,
 ) -> float:
     """Cost at the best of a few sizes after one step of the base, with the start's derivatives."""
-    n, likelihood = len(start.z), library.likelihood
-    precision = library.worth * np.linalg.inv(space.covariance[:n, :n])
-    away, row, best = start.z - space.centre[:n], likelihood.rotate_error(error), np.inf
+    row, best, (away, precision) = library.likelihood.rotate_error(error), np.inf, prior
     for view in views:
-        at = likelihood.reduce_row(view, row, start.x)
+        at = library.likelihood.reduce_row(view, row, start.x)
         pulled = at.weight @ at.g - precision @ away
         dz = np.linalg.solve(np.tensordot(at.weight, at.h, 1) + precision, pulled)
         square = at.square - 2.0 * at.g @ dz + ((at.h @ dz) * dz).sum(axis=1)

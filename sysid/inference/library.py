@@ -103,8 +103,10 @@ def linearise(
     space = library.space([*start.space.effects, effect.name])
     likelihood, z, columns = library.likelihood, carry(library.likelihood, space, start), []
     own = range(len(z) - len(effect.parameters), len(z))
+    here, parameters = start.linear.error, space.chart.parameters(z)
     # Beyond the effect's bounds, or by a payload, `z` does not hold what the base had moved.
-    here, _ = likelihood.predictor.errors(space.chart.parameters(z), start.x)
+    if not np.array_equal(parameters, start.parameters):
+        here, _ = likelihood.predictor.errors(parameters, start.x)
     keep = np.array([start.space.chart.free.index(n) for n in space.chart.free[: own.start]], int)
     for i, parameter in zip(own, effect.parameters, strict=True):
         step = 0.1 * parameter.scale

@@ -23,7 +23,13 @@ from numpy.typing import NDArray
 
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.disturbance_response import responses
-from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
+from steerd.sysid.inference.noise import (
+    Noise,
+    covariance,
+    instrument_variance,
+    inverse_factors,
+    pushed,
+)
 from steerd.sysid.inference.predictor import FREE_STATES, Linear, Predictor
 
 Array = NDArray[np.float64]
@@ -162,10 +168,9 @@ class Likelihood:
         """(W, D) precision of each rotated row."""
         return np.asarray(1.0 / (1.0 + size**2 * self.spectrum))
 
-    def squares(self, error: Array, x: Array, size: float) -> Array:
-        """(W,) whitened squared errors with the starts where they are, priors included."""
+    def squares(self, row: Array, x: Array, size: float) -> Array:
+        """(W,) whitened squares of rotated errors, the starts where they are, priors included."""
         away = self.predictor.guess - x
-        row = self.rotate_error(error)
         white = (self.weights(size) * row**2).sum(axis=1)
         return np.asarray(white + (self.start_precision * away**2).sum(axis=1))
 
@@ -255,17 +260,14 @@ def make_likelihood(predictor: Predictor, parameters: Array, x: Array, noise: No
         noise: how large instruments' noise and ordinary pushes are.
     """
     seen = responses(predictor, parameters, x, (0, 1, 2))
-    slip = slip_shape(predictor, predictor.errors(parameters, x)[0])
-    healthy = covariance(predictor, noise, [*shapes(seen), slip])
-    instruments = covariance(predictor, noise)
-    pushes = zip(c.DISCREPANCY, shapes(seen, c.DISCREPANCY_MEMORY), strict=True)
-    unknown = sum(size**2 * shape for size, shape in pushes)
+    healthy = covariance(predictor, noise, seen, predictor.errors(parameters, x)[0])
+    unknown = pushed(seen, c.DISCREPANCY, c.DISCREPANCY_MEMORY)
     there = predictor.padded.there
-    lower = np.linalg.inv(np.linalg.cholesky(healthy))
+    lower = inverse_factors(healthy)
     spectrum, axes = np.linalg.eigh(lower @ unknown @ lower.transpose(0, 2, 1))
     rotation = (axes.transpose(0, 2, 1) @ lower) * there[:, None, :]
-    own = ((lower @ instruments) * lower).sum(axis=2)
-    pushed = ((1.0 - own) * there).sum(axis=1) / there.sum(axis=1)
+    own = (lower**2 @ instrument_variance(predictor, noise)[:, :, None])[:, :, 0]
+    share = ((1.0 - own) * there).sum(axis=1) / there.sum(axis=1)
     by_start = rotation @ predictor.by_starts(parameters, x)[1]
     log_det = -(np.log(np.diagonal(lower, axis1=1, axis2=2)) * there).sum(axis=1)
-    return Likelihood(predictor, rotation, np.maximum(spectrum, 0.0), pushed, by_start, log_det)
+    return Likelihood(predictor, rotation, np.maximum(spectrum, 0.0), share, by_start, log_det)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtri
 from scipy.optimize import minimize
 
 from steerd.sysid.inference.constants import NOISE_KEPT
@@ -105,11 +106,21 @@ def slip_shape(predictor: Predictor, error: Array) -> Array:
     return np.asarray(slip[:, :, None] * slip[:, None, :])
 
 
-def shapes(seen: Array, memory: float = MEMORY) -> list[Array]:
-    """Covariance (W, D, D) of a unit push of each input, correlated over `memory` [s]."""
+def pushed(seen: Array, sizes: Sequence[float], memory: float = MEMORY) -> Array:
+    """Covariance (W, D, D) of pushes of these sizes, correlated over `memory` [s].
+
+    `seen` (inputs, W, D, pieces) are the responses to each, one size for each input.
+    """
     at = np.arange(seen.shape[3]) * PIECE
     kernel = np.exp(-np.abs(at[:, None] - at[None, :]) / memory)
-    return [(each @ kernel) @ each.transpose(0, 2, 1) for each in seen]
+    each = [size * response for size, response in zip(sizes, seen, strict=True)]
+    coloured = np.concatenate([response @ kernel for response in each], axis=2)
+    return np.asarray(coloured @ np.concatenate(each, axis=2).transpose(0, 2, 1))
+
+
+def shapes(seen: Array) -> list[Array]:
+    """Covariance (W, D, D) of a unit push of each input."""
+    return [pushed(response[None], [1.0]) for response in seen]
 
 
 def instrument_rows(predictor: Predictor) -> Array:
@@ -119,19 +130,25 @@ def instrument_rows(predictor: Predictor) -> Array:
     return rows
 
 
-def covariance(predictor: Predictor, noise: Noise, pushed: Sequence[Array] = ()) -> Array:
+def instrument_variance(predictor: Predictor, noise: Noise) -> Array:
+    """(W, D) variances of the readings; 1 where there is none."""
+    rows, padded = instrument_rows(predictor), predictor.padded
+    white = np.einsum("g,gwd->wd", noise.sizes[:_INSTRUMENTS] ** 2, rows)
+    return np.asarray(white / padded.merged + (1.0 - padded.there))
+
+
+def covariance(predictor: Predictor, noise: Noise, seen: Array, error: Array) -> Array:
     """(W, D, D) covariance of the errors; 1 where there is no row.
 
-    `pushed` are the shapes of the pushes and of the wheel's slip; without them, of the instruments.
+    Args:
+        predictor: the windows.
+        noise: sizes of all that is random.
+        seen: (3, W, D, pieces) responses to pushes along, across and about the car.
+        error: (W, D) as in `slip_shape`.
     """
-    sizes, there = noise.sizes**2, predictor.padded.there
-    width = there.shape[1]
-    out = np.zeros((len(there), width, width))
-    for size, shape in zip(sizes[_INSTRUMENTS:], pushed, strict=False):
-        out += size * shape
-    white = np.einsum("g,gwd->wd", sizes[:_INSTRUMENTS], instrument_rows(predictor))
-    white /= predictor.padded.merged
-    out[:, range(width), range(width)] += white + (1.0 - there)
+    out = pushed(seen, noise.pushes) + noise.wheel_slip**2 * slip_shape(predictor, error)
+    width = range(out.shape[1])
+    out[:, width, width] += instrument_variance(predictor, noise)
     return out
 
 
@@ -155,45 +172,63 @@ def learn_noise(
     tame = np.flatnonzero(calm & (np.abs(seen).max(axis=(0, 2, 3)) < _PUSHED))
     tame = tame if len(tame) else np.arange(predictor.layout.count)
     chosen = tame[np.unique(np.linspace(0, len(tame) - 1, WINDOWS_MOST).round().astype(int))]
-    pushed = [v[chosen] for v in (*shapes(seen), slip_shape(predictor, linear.error))]
+    shaped = [v[chosen] for v in (*shapes(seen), slip_shape(predictor, linear.error))]
     error, known = (part[chosen] for part in predictor.about_guess(x, linear))
     rows, there = instrument_rows(predictor)[:, chosen], predictor.padded.there[chosen]
     first = (guess.sizes if guess else _START).clip(_LEAST * 1.01, _MOST * 0.99)
-    found = minimize(
-        _likelihood, np.log(first), (error, known, rows, pushed, there), jac=True,
-        method="L-BFGS-B", bounds=list(zip(np.log(_LEAST), np.log(_MOST), strict=True)),
-        options={"maxiter": _ROUNDS, "ftol": _ENOUGH},
-    )  # fmt: skip
-    sizes = np.exp(found.x)
+    known[:, range(known.shape[1]), range(known.shape[1])] += 1.0 - there
+    sizes = likeliest_sizes(first, (_LEAST, _MOST), (error, known, rows, shaped, there))
     absent = rows.sum(axis=(1, 2)) == 0
     sizes[:_INSTRUMENTS][absent] = first[:_INSTRUMENTS][absent]
     return noise_of_sizes(sizes)
 
 
+def likeliest_sizes(
+    first: Array,
+    within: tuple[Array, Array],
+    of: tuple[Array, Array, Array, Sequence[Array], Array],
+) -> Array:
+    """Standard deviations of the parts of a covariance by maximum likelihood (Student's t).
+
+    Args:
+        first: where the search begins.
+        within: the least and the most.
+        of: errors (W, D), what is known of their covariance (W, D, D), 1 in each row of instruments
+            (G, W, D), the shapes (W, D, D) of the other parts, and 1 where there is a row (W, D).
+    """
+    found = minimize(
+        _likelihood, np.log(first), of, jac=True, method="L-BFGS-B",
+        bounds=np.log(within).T, options={"maxiter": _ROUNDS, "ftol": _ENOUGH},
+    )  # fmt: skip
+    return np.asarray(np.exp(found.x))
+
+
+def inverse_factors(covariances: Array) -> Array:
+    """(W, D, D) inverses of the lower Cholesky factors: they make such errors white."""
+    return np.stack([dtrtri(each, lower=1)[0] for each in np.linalg.cholesky(covariances)])
+
+
 def _likelihood(
-    logs: Array, error: Array, known: Array, rows: Array, pushed: Sequence[Array], there: Array
+    logs: Array, error: Array, known: Array, rows: Array, shaped: Sequence[Array], there: Array
 ) -> tuple[float, Array]:
     """Negative log-likelihood of the sizes and its slope by their logarithms."""
-    squares = np.exp(2.0 * logs)
-    cov = known + sum(s * v for s, v in zip(squares[_INSTRUMENTS:], pushed, strict=True))
+    squares, instruments = np.exp(2.0 * logs), len(rows)
+    cov = known + sum(s * v for s, v in zip(squares[instruments:], shaped, strict=True))
     width = range(cov.shape[1])
-    cov[:, width, width] += np.einsum("g,gwd->wd", squares[:_INSTRUMENTS], rows) + (1.0 - there)
-    lower = np.linalg.cholesky(cov)
-    inverse = np.linalg.inv(cov)
+    cov[:, width, width] += np.einsum("g,gwd->wd", squares[:instruments], rows)
+    white = inverse_factors(cov)
+    inverse = white.transpose(0, 2, 1) @ white
     pulled = np.matmul(inverse, error[:, :, None])[:, :, 0]
     square, dof = (error * pulled).sum(axis=1), there.sum(axis=1)
     weight = 2.0 / (1.0 + square / dof)
-    halves = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum()
+    halves = -np.log(np.diagonal(white, axis1=1, axis2=2)).sum()
     value = halves + float((dof * np.log1p(square / dof)).sum())
-    slope = np.empty(len(logs))
     spread = np.diagonal(inverse, axis1=1, axis2=2)
-    for g in range(_INSTRUMENTS):
-        slope[g] = (rows[g] * (spread - weight[:, None] * pulled**2)).sum()
-    for i, v in enumerate(pushed):
-        trace = (inverse * v).sum(axis=(1, 2))
+    slope = [(own * (spread - weight[:, None] * pulled**2)).sum() for own in rows]
+    for v in shaped:
         bent = (np.matmul(v, pulled[:, :, None])[:, :, 0] * pulled).sum(axis=1)
-        slope[_INSTRUMENTS + i] = (trace - weight * bent).sum()
-    return value, slope * squares
+        slope.append((inverse * v).sum() - weight @ bent)
+    return value, np.array(slope) * squares
 
 
 def noisier_of(noise: Noise, signals: Array) -> Noise:

@@ -133,16 +133,17 @@ def open_point(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Poin
 def _followed(likelihood: Likelihood, point: Point) -> Point:
     """The windows' starts stepped with the point's derivatives, each where that is better."""
     x, error, at = point.x.copy(), point.linear.error.copy(), point.at
-    share = np.ones(len(x))
+    row, share = likelihood.rotate_error(error), np.ones(len(x))
     for _ in range(_ROUNDS):
         if not owes(at.here, at.here - at.square, at.dof).any():
             break
         tried = x + share[:, None] * at.dx
         off, _ = likelihood.predictor.errors(point.parameters, tried)
-        better = likelihood.squares(off, tried, point.size) < at.here
-        x[better], error[better] = tried[better], off[better]
+        turned = likelihood.rotate_error(off)
+        better = likelihood.squares(turned, tried, point.size) < at.here
+        x[better], error[better], row[better] = tried[better], off[better], turned[better]
         share = np.where(better, 1.0, _SHORTER * share)
-        at = likelihood.reduce(point.weighed, error, x)
+        at = likelihood.reduce_row(point.weighed, row, x)
     linear = point.linear._replace(error=error)
     return replace(point, x=x, linear=linear, at=at, cost=_cost(point.space, at, point.z))
 

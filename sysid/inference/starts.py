@@ -37,11 +37,11 @@ def settle_starts(
     x, left = x.copy(), np.zeros(len(x), bool)
     damping, harder = np.full(len(x), _DAMPING), np.full(len(x), 2.0)
     active, part = np.arange(len(x)), likelihood
-    error, by_x = by
+    row, by_x = likelihood.rotate_error(by[0]), by[1]
     for _ in range(_ROUNDS):
         turned, curved = part.start_curvature(part.rotation @ by_x, size)
-        pull = part.start_pull(turned, part.rotate_error(error), x[active])
-        square = part.squares(error, x[active], size)
+        pull = part.start_pull(turned, row, x[active])
+        square = part.squares(row, x[active], size)
         promised = (pull * np.linalg.solve(curved, pull[:, :, None])[:, :, 0]).sum(axis=1)
         owed = owes(square, promised, part.dof)
         left[active] = owed
@@ -51,16 +51,17 @@ def settle_starts(
         if moving.mean() < _FEWER:
             active, part, square = active[moving], take_some(part, moving), square[moving]
             curved, pull, width = curved[moving], pull[moving], part.rotation.shape[2]
-            error, by_x = error[moving, :width], by_x[moving, :width]
+            row, by_x = row[moving, :width], by_x[moving, :width]
         diagonal = damping[active, None] * np.diagonal(curved, axis1=1, axis2=2)
         damped = curved + diagonal[:, :, None] * np.eye(curved.shape[1])
         step = np.linalg.solve(damped, pull[:, :, None])[:, :, 0]
         off, by_tried = part.predictor.by_starts(parameters, x[active] + step)
-        gained = square - part.squares(off, x[active] + step, size)
+        tried = part.rotate_error(off)
+        gained = square - part.squares(tried, x[active] + step, size)
         expected = (step * (pull + diagonal * step)).sum(axis=1)
         better = gained > 0.0
         x[active[better]] += step[better]
-        error = np.where(better[:, None], off, error)
+        row = np.where(better[:, None], tried, row)
         by_x = np.where(better[:, None, None], by_tried, by_x)
         # Nielsen (1999): damping by how well the last step kept its promise
         kept = np.clip(gained / np.maximum(expected, 1e-300), 0.0, 1.0)

@@ -6,7 +6,7 @@ import pytest
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.disturbance_response import responses
 from steerd.sysid.inference.likelihood import SIZES, loss_of, take_some
-from steerd.sysid.inference.noise import covariance, learn_noise, shapes, slip_shape
+from steerd.sysid.inference.noise import MEMORY, instrument_variance, learn_noise, slip_shape
 from steerd.sysid.inference.search import stand, with_size
 from tests.unit.sysid.inference.conftest import NOISE
 
@@ -16,10 +16,17 @@ def dense(healthy):
     """(W, D, D) covariances of healthy windows and of a discrepancy of size 1, 0 in padding."""
     parameters, x = healthy.augmented.base, healthy.guess
     seen = responses(healthy, parameters, x, (0, 1, 2))
-    slip = slip_shape(healthy, healthy.errors(parameters, x)[0])
-    own = covariance(healthy, NOISE, [*shapes(seen), slip])
-    pushes = shapes(seen, c.DISCREPANCY_MEMORY)
-    return own, sum(size**2 * p for size, p in zip(c.DISCREPANCY, pushes, strict=True))
+    own = NOISE.wheel_slip**2 * slip_shape(healthy, healthy.errors(parameters, x)[0])
+    own[:, range(own.shape[1]), range(own.shape[1])] += instrument_variance(healthy, NOISE)
+    own += _coloured(seen, NOISE.pushes, MEMORY)
+    return own, _coloured(seen, c.DISCREPANCY, c.DISCREPANCY_MEMORY)
+
+
+def _coloured(seen, sizes, memory):
+    """Covariance of pushes in pieces of a tenth of a second."""
+    at = 0.1 * np.arange(seen.shape[3])
+    kernel = np.exp(-np.abs(at[:, None] - at) / memory)
+    return np.einsum("i,iwdp,pq,iweq->wde", np.square(sizes), seen, kernel, seen, optimize=True)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +67,7 @@ def test_squares_and_determinants_are_those_of_the_dense_covariance(
 ):
     own, unknown = dense
     by = likelihood.weigh(likelihood.rotate(linear), size)
-    square = likelihood.squares(linear.error, x, size)
+    square = likelihood.squares(likelihood.rotate_error(linear.error), x, size)
     about = likelihood.predictor  # the trajectories that the responses are about
     by_start = about.by_starts(about.augmented.base, about.guess)[1]
     for w in range(len(x)):

@@ -47,7 +47,7 @@ def test_the_effect_is_found_with_its_size_at_the_cost_that_is_simulated_there(l
     assert found.size < c.GAP_SIZE
     again = search.stand(late, found.space, found.z, found.x, found.size)
     assert again.cost == pytest.approx(found.cost, abs=0.1)
-    reached = late.squares(again.linear.error, again.x, again.size)
+    reached = late.squares(late.rotate_error(again.linear.error), again.x, again.size)
     assert again.at.here == pytest.approx(reached)
     assert (reached - again.at.square < 0.06).all()
 
@@ -132,7 +132,10 @@ def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, settled_base):
     before, _ = predictor.errors(p, x)
     found = search.stand(likelihood, space, space.centre, x, 0.0)
     error, _ = predictor.errors(p, found.x)
-    actual, held = likelihood.squares(error, found.x, 0.0), found.rotated.held
+    actual, held = (
+        likelihood.squares(likelihood.rotate_error(error), found.x, 0.0),
+        found.rotated.held,
+    )
     assert held.any(), "some windows are too bent to be settled from so far"
     assert not held.all()
     promised = actual - found.at.square
@@ -140,6 +143,7 @@ def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, settled_base):
     assert np.allclose(actual, found.at.here, rtol=1e-9)
     assert np.allclose(actual[held], found.at.square[held], rtol=1e-9)
     assert not found.at.dx[held].any()
+    before = likelihood.rotate_error(before)
     assert np.all(actual <= likelihood.squares(before, x, 0.0) * (1.0 + 1e-9))
 
 
@@ -155,7 +159,8 @@ def test_starts_that_are_far_off_come_back(likelihood, small, settled_base, tyre
         start = settled_base.x + off
         x, left = settle_starts(likelihood, p, start, predictor.by_starts(p, start), 0.02)
         assert not left.any()
-        square = likelihood.squares(predictor.errors(p, x)[0], x, 0.02)
+        row = likelihood.rotate_error(predictor.errors(p, x)[0])
+        square = likelihood.squares(row, x, 0.02)
         costs.append(loss_of(square, likelihood.dof))
     assert (costs - costs[0]).max() < 0.1
 
