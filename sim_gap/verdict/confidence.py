@@ -76,13 +76,14 @@ def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
 
 
 def _left(found: Findings) -> float:
-    """Share of the gap's size that stays.
+    """Share of the gap's size that stays: of the likeliest sizes, or of the errors beyond noise.
 
-    Of the likeliest sizes, or of those that bring the errors down to noise: where most windows are
-    too far off to count, the likeliest size is far smaller than the gap.
+    Where most windows are too far off to count, or the gap is none that a push could make, the
+    likeliest size is far smaller than the gap.
     """
-    sizes = [(found.start.size, found.best.point.size), found.covering]
-    shares = [after / before for before, after in sizes if before > c.SIZE_SMALL]
+    before, after = np.sqrt(found.excess)
+    sizes = [(found.start.size, found.best.point.size, c.SIZE_SMALL), (before, after, 0.0)]
+    shares = [float(stays / was) for was, stays, least in sizes if was > least]
     return min(shares, default=float(found.best.point.size > c.SIZE_SMALL))
 
 

@@ -241,15 +241,15 @@ def _width(kind: Indices) -> Indices:
     return np.where(kind == 0, 3, 1)
 
 
-def thinned(layout: Layout) -> Layout:
-    """Of each window's and instrument's readings, the one nearest to each multiple of `SPACING`.
+def thinned(layout: Layout, spacing: float = SPACING) -> Layout:
+    """Of each window's and instrument's readings, the one nearest to each multiple of `spacing`.
 
     Denser readings add nothing but rows: what is not noise of the instrument is correlated over far
     longer times.
     """
     seen = layout.seen
-    slot = np.round(seen.t / SPACING).astype(np.int64)
-    order = np.lexsort((np.abs(seen.t - SPACING * slot), slot, seen.kind, seen.window))
+    slot = np.round(seen.t / spacing).astype(np.int64)
+    order = np.lexsort((np.abs(seen.t - spacing * slot), slot, seen.kind, seen.window))
     key = np.column_stack([seen.window, seen.kind, slot])[order]
     first = np.append(True, (key[1:] != key[:-1]).any(axis=1))
     kept = np.zeros(len(order), bool)

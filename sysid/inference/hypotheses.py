@@ -22,7 +22,7 @@ from steerd.sysid.inference.library import Library, carry, linearise
 from steerd.sysid.inference.likelihood import Weighed, loss_of
 from steerd.sysid.inference.odds import Hypothesis, Shown, price, rank, shown_most
 from steerd.sysid.inference.places import suspicious_discs
-from steerd.sysid.inference.residuals import covering_size
+from steerd.sysid.inference.residuals import excess_of
 from steerd.sysid.inference.search import BEHIND, Point, minimise, newton, open_point, stand
 from steerd.sysid.inference.space import Space
 
@@ -49,8 +49,7 @@ class Findings:
     hypotheses: tuple[Hypothesis, ...]  # see there
     start: Point  # the base at its prior, under the discrepancy that it needs
     untested: tuple[str, ...]  # effects whose simulation does not stay finite
-    # The least sizes that bring errors down to noise, at the start and at the best
-    covering: tuple[float, float]
+    excess: tuple[float, float]  # see `excess_of`: at the start and at the best
 
     @property
     def best(self) -> Hypothesis:
@@ -229,7 +228,7 @@ def explain(
     found = search.hypotheses()
     share = softmax([h.log_odds for h in found])
     ranked = [replace(h, probability=float(p)) for h, p in zip(found, share, strict=True)]
-    before, after = (covering_size(library.likelihood, p) for p in (start, ranked[0].point))
+    before, after = (excess_of(library.likelihood, p) for p in (start, ranked[0].point))
     return Findings(tuple(ranked), start, tuple(sorted(search.untested)), (before, after))
 
 

@@ -275,7 +275,7 @@ def open_predictor(
     Args:
         augmented: the car.
         runs: on one grid.
-        horizon: length of a window [s].
+        horizon: length of a window [s]; a longer one has as many readings, further apart.
         most: take windows of so much driving in all, evenly from the whole [s].
         means: compare means over `SPACING` instead of single readings: where instruments' noise is
             all that is random, every reading counts.
@@ -286,7 +286,7 @@ def open_predictor(
     """
     known = float(augmented.base[augmented.kernels.names.index("pose_delay")])
     layout = make_layout(runs, horizon, known if late is None else late, most)
-    layout = layout if means else thinned(layout)
+    layout = layout if means else thinned(layout, SPACING * max(horizon / HORIZON, 1.0))
     padded = pad_rows(layout, means)
     once = np.ones(layout.count, np.int64)
     return Predictor(augmented, layout, padded, once, means).stepped_for(augmented.base)

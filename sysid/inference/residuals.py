@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.sysid.data.windows import SPACING
-from steerd.sysid.inference.likelihood import SIZES, Likelihood
+from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.predictor import Predictor
 from steerd.sysid.inference.search import Point, newton, stand, with_size
 from steerd.sysid.inference.space import Space
+from steerd.sysid.inference.starts import settle_starts
 
 Array = NDArray[np.float64]
 
@@ -65,9 +66,11 @@ def settled(likelihood: Likelihood, space: Space, z: Array, x: Array | None = No
     Raises:
         FloatingPointError: the simulation diverges there.
     """
-    x = likelihood.predictor.guess.copy() if x is None else x
-    soft = stand(likelihood, space, z, x, _SOFT)
-    return stand(likelihood, space, z, soft.x, 0.0)
+    x = likelihood.predictor.guess if x is None else x
+    parameters = space.chart.parameters(z)
+    by = likelihood.predictor.by_starts(parameters, x)
+    x, _ = settle_starts(likelihood, parameters, x, by, _SOFT)
+    return stand(likelihood, space, z, x, 0.0)
 
 
 def robust_mean(ratios: Array) -> float:
@@ -75,12 +78,9 @@ def robust_mean(ratios: Array) -> float:
     return float(np.expm1(np.log1p(np.minimum(ratios, 1e6)).mean()))
 
 
-def covering_size(likelihood: Likelihood, point: Point) -> float:
-    """The least size under which a point's errors are no larger than noise."""
-    sizes = SIZES.tolist()
-    ratios = (with_size(likelihood, point, size).at.ratio for size in sizes)
-    covering = (s for s, r in zip(sizes, ratios, strict=True) if robust_mean(r) <= 1.0)
-    return float(next(covering, sizes[-1]))
+def excess_of(likelihood: Likelihood, point: Point) -> float:
+    """Whitened error per degree of freedom beyond noise's, robust, no discrepancy allowed."""
+    return max(robust_mean(with_size(likelihood, point, 0.0).at.ratio) - 1.0, 0.0)
 
 
 def interval_of(values: Array, blocks: NDArray[np.int64], seed: int = 0) -> Array:

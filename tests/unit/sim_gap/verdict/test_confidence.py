@@ -44,12 +44,12 @@ def _hypothesis(*effects, probability=1.0, size=SMALL, moved=0.0, values=None, s
     return Hypothesis(effects, posterior, 0.0, probability)
 
 
-def _found(*hypotheses, before=LARGE, covering=(0.0, 0.0)):
+def _found(*hypotheses, before=LARGE, excess=(0.0, 0.0)):
     """Hypotheses, and the base alone with what probability they leave."""
     left = 1.0 - sum(h.probability for h in hypotheses)
     every = [*hypotheses, _hypothesis(probability=left, size=before)]
     every.sort(key=lambda h: -h.probability)
-    return Findings(tuple(every), SimpleNamespace(size=before), (), covering)
+    return Findings(tuple(every), SimpleNamespace(size=before), (), excess)
 
 
 @pytest.mark.parametrize("share", [SMALL / LARGE, 0.3, 0.45])
@@ -84,12 +84,13 @@ def test_the_cause_without_which_the_odds_fall_most_is_named_first(later):
     assert (second.effect, {first.effect, second.effect}) == (later, {"steer_delay", "mass"})
 
 
-def test_a_gap_too_far_off_to_count_is_measured_by_what_brings_it_down_to_noise():
+def test_a_gap_too_far_off_to_count_is_measured_by_its_errors():
     """A delay of 0.1 s leaves the windows so far off that the likeliest size stays small."""
-    found = _found(_hypothesis("steer_delay", size=0.75 * LARGE), covering=(20.0, 0.8))
+    found = _found(_hypothesis("steer_delay", size=0.75 * LARGE), excess=(50.0, 0.08))
     told = judge_case(LIBRARY, found, True)
     assert (told.name, told.left) == ("partial", pytest.approx(0.04))
-    assert judge_case(LIBRARY, replace(found, covering=(0.0, 0.0)), True).name == "unexplained"
+    assert judge_case(LIBRARY, replace(found, excess=(50.0, 40.0)), True).name == "unexplained"
+    assert judge_case(LIBRARY, replace(found, excess=(0.0, 0.0)), True).name == "unexplained"
 
 
 @pytest.mark.parametrize(("name", "other"), [
