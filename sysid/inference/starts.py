@@ -51,7 +51,7 @@ def settle_starts(
         if moving.mean() < _FEWER:
             active, part, square = active[moving], take_some(part, moving), square[moving]
             curved, pull, width = curved[moving], pull[moving], part.rotation.shape[2]
-            row, by_x = row[moving, :width], by_x[moving, :width]
+            row, by_x = row[moving], by_x[moving, :width]
         diagonal = damping[active, None] * np.diagonal(curved, axis1=1, axis2=2)
         damped = curved + diagonal[:, :, None] * np.eye(curved.shape[1])
         step = np.linalg.solve(damped, pull[:, :, None])[:, :, 0]

@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from steerd.sysid.data.dataset import Signal
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference import search
 from steerd.sysid.inference.augmented_car import make_augmented_car
 from steerd.sysid.inference.hypotheses import begin
 from steerd.sysid.inference.library import Library
-from steerd.sysid.inference.likelihood import loss_of
+from steerd.sysid.inference.likelihood import loss_of, take_some
 from steerd.sysid.inference.posterior import between_halves, posterior_of
 from steerd.sysid.inference.space import make_space, weak_knowledge
 from steerd.sysid.inference.starts import owes, settle_starts
@@ -22,8 +23,11 @@ MOST_SPREADS = 2.5  # prior standard deviations over which random starts are dra
 
 @pytest.fixture(scope="module")
 def late(drive, base):
-    runs = drive(f"steer_delay={LATE}", runs=2, seconds=6.0, seed=21)
-    return likelihood_of(make_augmented_car(base, runs), runs)
+    """Two drives with late steering; the cameras lose the first for a third of a second."""
+    one, other = drive(f"steer_delay={LATE}", runs=2, seconds=6.0, seed=21)
+    seen = np.abs(one.pose.t - 2.5) > 0.17
+    one = replace(one, pose=Signal(one.pose.t[seen], one.pose.values[seen]))
+    return likelihood_of(make_augmented_car(base, [one, other]), [one, other])
 
 
 @pytest.fixture(scope="module")
@@ -145,6 +149,21 @@ def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, settled_base):
     assert not found.at.dx[held].any()
     before = likelihood.rotate_error(before)
     assert np.all(actual <= likelihood.squares(before, x, 0.0) * (1.0 + 1e-9))
+
+
+def test_a_window_with_fewer_readings_settles_as_it_does_alone(late):
+    parameters, x = late.predictor.augmented.base, late.predictor.guess.copy()
+    x, _ = settle_starts(late, parameters, x, late.predictor.by_starts(parameters, x), 1.0)
+    few = late.predictor.padded.there.sum(axis=1) < late.rotation.shape[2]
+    x[few] += 0.05
+    alone = take_some(late, few)
+    assert 0 < few.sum() < len(x)
+    assert alone.rotation.shape[2] < late.rotation.shape[2]
+    both = [
+        settle_starts(each, parameters, start, each.predictor.by_starts(parameters, start), 1.0)[0]
+        for each, start in ((late, x), (alone, x[few]))
+    ]
+    assert both[0][few] == pytest.approx(both[1], abs=1e-9)
 
 
 @pytest.mark.parametrize("tyres", [{}, STIFF])
