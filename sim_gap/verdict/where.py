@@ -213,7 +213,9 @@ def range_words(regime: Regime) -> str:
     span = high - low
     places = min(max(1 - math.floor(math.log10(span)), 0), 4) if span > 0.0 else 2
     places = 0 if span >= 10.0 else places
-    return f"{low:.{places}f} to {high:.{places}f}{unit.replace('^2', '²')}"
+    first, last = f"{low:.{places}f}", f"{high:.{places}f}"
+    text = f"{first} to {last}" if first != last else f"{low:.3g}"
+    return f"{text}{unit.replace('^2', '²')}"
 
 
 def sentence_of(equation: Sequence[Share], found: Sequence[Regime], moments: str = "") -> str:

@@ -11,6 +11,7 @@ optimum. No hypothesis may be worse than one nested in it: bases are exchanged u
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -336,19 +337,17 @@ def _looks(
         yield Candidate(effect.name, tuple(z[own].tolist()), cost)
 
 
-def _prior(library: Library, space: Space, base: Array) -> tuple[Array, Array]:
+def _prior(library: Library, space: Space, base: Array) -> "_Prior":
     """How far the base's coordinates (n,) are from their centre, and the precision of that."""
     n = len(base)
-    precision = library.worth * np.linalg.inv(space.covariance[:n, :n])
-    return base - space.centre[:n], np.asarray(precision, np.float64)
+    return base - space.centre[:n], library.worth * np.linalg.inv(space.covariance[:n, :n])
+
+
+_Prior = tuple[Array, Any]
 
 
 def _expected(
-    library: Library,
-    start: Point,
-    views: Sequence[Weighed],
-    prior: tuple[Array, Array],
-    error: Array,
+    library: Library, start: Point, views: Sequence[Weighed], prior: _Prior, error: Array
 ) -> float:
     """Cost at the best of a few sizes after one step of the base, with the start's derivatives."""
     row, best, (away, precision) = library.likelihood.rotate_error(error), np.inf, prior

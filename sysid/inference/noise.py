@@ -73,29 +73,19 @@ def noise_of_sizes(sizes: Array) -> Noise:
 
 
 def usual_noise(signals: Array) -> Noise:
-    """What noise is taken to be before it is learnt.
-
-    Args:
-        signals: (4,) `steerd.sysid.data.windows.estimate_noise` of the drives.
-    """
+    """What noise is taken to be before it is learnt; `signals` (4,) as of `estimate_noise`."""
     return noise_of_sizes(np.concatenate([np.maximum(signals, _LEAST[:4]), _START[4:]]))
 
 
 def signal_noise(signals: Array) -> Noise:
-    """Instruments alone, as noisy as their signals are; whatever else acts is a discrepancy.
-
-    Args:
-        signals: as in `usual_noise`.
-    """
+    """Instruments alone, as noisy as their signals (4,); whatever else acts is a discrepancy."""
     return noise_of_sizes(np.concatenate([signals, np.zeros(4)]))
 
 
 def slip_shape(predictor: Predictor, error: Array) -> Array:
     """Covariance (W, D, D) of the wheel speed for a unit slip coefficient of each window.
 
-    Args:
-        predictor: the windows.
-        error: (W, D) measurement minus prediction; speed and acceleration are the predicted ones.
+    Speed and acceleration are the predicted ones: measurements less the `error` (W, D).
     """
     speed = predictor.pad(predictor.layout.values) - error
     wheel = (predictor.channel == 3) & (predictor.padded.there > 0.0)
@@ -109,7 +99,7 @@ def slip_shape(predictor: Predictor, error: Array) -> Array:
 def pushed(seen: Array, sizes: Sequence[float], memory: float = MEMORY) -> Array:
     """Covariance (W, D, D) of pushes of these sizes, correlated over `memory` [s].
 
-    `seen` (inputs, W, D, pieces) are the responses to each, one size for each input.
+    The responses to each are `seen` (inputs, W, D, pieces).
     """
     at = np.arange(seen.shape[3]) * PIECE
     kernel = np.exp(-np.abs(at[:, None] - at[None, :]) / memory)
@@ -140,11 +130,7 @@ def instrument_variance(predictor: Predictor, noise: Noise) -> Array:
 def covariance(predictor: Predictor, noise: Noise, seen: Array, error: Array) -> Array:
     """(W, D, D) covariance of the errors; 1 where there is no row.
 
-    Args:
-        predictor: the windows.
-        noise: sizes of all that is random.
-        seen: (3, W, D, pieces) responses to pushes along, across and about the car.
-        error: (W, D) as in `slip_shape`.
+    `seen` (3, W, D, pieces) are the responses to pushes; `error` (W, D) as in `slip_shape`.
     """
     out = pushed(seen, noise.pushes) + noise.wheel_slip**2 * slip_shape(predictor, error)
     width = range(out.shape[1])
@@ -155,17 +141,11 @@ def covariance(predictor: Predictor, noise: Noise, seen: Array, error: Array) ->
 def learn_noise(
     predictor: Predictor, parameters: Array, x: Array, linear: Linear, guess: Noise | None = None
 ) -> Noise:
-    """Sizes under which the errors of a fitted hypothesis are most likely.
+    """Sizes under which the errors of a fitted hypothesis are most likely, sought from a guess.
 
     Windows that the hypothesis explains badly pull less (Student's t), so that a gap in a few
     places does not pass for noise everywhere; where the car spins beyond all bounds, none does.
-
-    Args:
-        predictor: the windows.
-        parameters: (P,) of the fitted car.
-        x: (W, 7) the windows' starts.
-        linear: errors and derivatives there.
-        guess: where the search begins.
+    Given are the car (P,), the windows' starts (W, 7), and errors and derivatives there.
     """
     seen = responses(predictor, parameters, x, (0, 1, 2))
     calm = np.abs(linear.by_x).max(axis=(1, 2)) < _WILDEST
@@ -183,21 +163,18 @@ def learn_noise(
     return noise_of_sizes(sizes)
 
 
-def likeliest_sizes(
-    first: Array,
-    within: tuple[Array, Array],
-    of: tuple[Array, Array, Array, Sequence[Array], Array],
-) -> Array:
+Parts = tuple[Array, Array, Array, Sequence[Array], Array]
+
+
+def likeliest_sizes(first: Array, within: tuple[Array, Array], given: Parts) -> Array:
     """Standard deviations of the parts of a covariance by maximum likelihood (Student's t).
 
-    Args:
-        first: where the search begins.
-        within: the least and the most.
-        of: errors (W, D), what is known of their covariance (W, D, D), 1 in each row of instruments
-            (G, W, D), the shapes (W, D, D) of the other parts, and 1 where there is a row (W, D).
+    The search begins at `first`, and ends within two bounds. Given are the errors (W, D), what is
+    known of their covariance (W, D, D), 1 in each row of instruments (G, W, D), the shapes
+    (W, D, D) of the other parts, and 1 where there is a row (W, D).
     """
     found = minimize(
-        _likelihood, np.log(first), of, jac=True, method="L-BFGS-B",
+        _likelihood, np.log(first), given, jac=True, method="L-BFGS-B",
         bounds=np.log(within).T, options={"maxiter": _ROUNDS, "ftol": _ENOUGH},
     )  # fmt: skip
     return np.asarray(np.exp(found.x))
@@ -234,10 +211,7 @@ def _likelihood(
 def noisier_of(noise: Noise, signals: Array) -> Noise:
     """Known noise where these drives' own signals are not clearly noisier; else theirs.
 
-    Args:
-        noise: as learnt on other drives.
-        signals: (4,) `steerd.sysid.data.windows.estimate_noise` of these; what is slow does not
-            show in it.
+    Those are `signals` (4,), as of `estimate_noise`; what is slow does not show in them.
     """
     sizes = noise.sizes
     sizes[:4] = np.where(signals > LOUDER * sizes[:4], signals, sizes[:4])
@@ -248,13 +222,9 @@ def calibrated(noise: Noise, left: float, should: float = 1.0) -> Noise:
     """Noise under which drives without a gap leave what they should of the whitened error.
 
     What a likelihood over windows of different harshness calls typical is more than most of them
-    hold; taken as it is, it costs the test its power.
-
-    Args:
-        noise: as learnt.
-        left: what the drives leave per degree of freedom under it.
-        should: what they should leave, see `noise_share`: by another measure than the floor's,
-            healthy drives would lie above it.
+    hold; taken as it is, it costs the test its power. The drives leave `left` per degree of freedom
+    and should leave `should` (`noise_share`): by another measure than the floor's, healthy drives
+    would lie above it.
     """
     return noise_of_sizes(np.maximum(noise.sizes * np.sqrt(left / should), _LEAST))
 
@@ -262,11 +232,8 @@ def calibrated(noise: Noise, left: float, should: float = 1.0) -> Noise:
 def noise_share(predictor: Predictor, wheel: float) -> float:
     """What noise leaves of the whitened error per degree of freedom of the drives it is learnt on.
 
-    Wheel speed is trusted less than it deserves (`WHEEL_LEAST`), so its readings leave less.
-
-    Args:
-        predictor: the windows.
-        wheel: noise of the wheel speed's own signal [m/s].
+    Wheel speed is trusted less than it deserves (`WHEEL_LEAST`), so its readings leave less; the
+    noise of its own signal is `wheel` [m/s].
     """
     counts = instrument_rows(predictor).sum(axis=(1, 2))
     worth = np.array([1.0, 1.0, min(1.0, (wheel / WHEEL_LEAST) ** 2), 1.0])

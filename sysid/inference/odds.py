@@ -47,12 +47,8 @@ def rank(
     """Hypotheses at their optima with their odds, the likeliest first.
 
     Each counts for what it gains beside the likeliest of one effect fewer. The design effect is
-    that under the discrepancy of the likeliest optimum, once for all.
-
-    Args:
-        library: what may be a hypothesis.
-        points: their optima.
-        shown: kept from call to call: what was worked out of points that have not changed.
+    that under the discrepancy of the likeliest optimum, once for all. Kept from call to call
+    (`shown`) is what was worked out of points that have not changed.
     """
     temper = library.design_effect(min(points, key=lambda point: point.cost).size)
     shown, level = {} if shown is None else shown, dict[Point, float]()

@@ -37,11 +37,8 @@ class Posterior:
 def design_effect(likelihood: Likelihood, size: float, controlled: bool = False) -> float:
     """How many windows are worth one under a discrepancy of this size.
 
-    Args:
-        likelihood: the windows.
-        size: of the discrepancy.
-        controlled: whether what repeats in healthy drives too is compared with them: then only the
-            discrepancy is common to windows, else a share of the ordinary pushes counts as well.
+    Where what repeats in healthy drives too is compared with them (`controlled`), only the
+    discrepancy is common to windows, else a share of the ordinary pushes counts as well.
     """
     pushed = 0.0 if controlled else c.REPEATS * float(likelihood.pushed.mean())
     return 2.0 + (len(likelihood.pushed) - 1) * (pushed + (1.0 - pushed) * likelihood.share(size))
@@ -69,12 +66,8 @@ def between_halves(likelihood: Likelihood, point: Point, blocks: NDArray[np.int6
     """(n,) variance of an optimum's coordinates by balanced half-samples (McCarthy, 1969).
 
     One half of the blocks and the other are fitted, by some patterns. A likelihood with kinks, or a
-    bent one, shows its width so; its curvature is that of one place.
-
-    Args:
-        likelihood: the windows.
-        point: the optimum on all of them.
-        blocks: (W,) number of each window's block.
+    bent one, shows its width so; its curvature is that of one place. The point is the optimum on
+    all windows; `blocks` (W,) numbers each window's block.
     """
     away = [np.zeros_like(point.z)]
     for pattern in _PATTERNS:
@@ -92,11 +85,8 @@ def between_halves(likelihood: Likelihood, point: Point, blocks: NDArray[np.int6
 def log_mean(data: Array, pull: Array, mean: Array, covariance: Array) -> float:
     """Log of the mean of exp(pull' x - x' data x / 2) over a normal distribution of x [nats].
 
-    Args:
-        data: (k, k) curvature, not negative; `pull` (k,) slope at 0.
-        pull: see `data`.
-        mean: (k,) of the distribution; `covariance` (k, k).
-        covariance: see `mean`.
+    Of the data the curvature (k, k), not negative, and the slope (k,) at 0; of the distribution the
+    mean (k,) and the covariance (k, k).
     """
     before = np.linalg.inv(covariance)
     whole, slope = data + before, pull + before @ mean

@@ -66,10 +66,9 @@ def settled(likelihood: Likelihood, space: Space, z: Array, x: Array | None = No
     Raises:
         FloatingPointError: the simulation diverges there.
     """
-    x = likelihood.predictor.guess if x is None else x
-    parameters = space.chart.parameters(z)
-    by = likelihood.predictor.by_starts(parameters, x)
-    x, _ = settle_starts(likelihood, parameters, x, by, _SOFT)
+    predictor, parameters = likelihood.predictor, space.chart.parameters(z)
+    x = predictor.guess if x is None else x
+    x, _ = settle_starts(likelihood, parameters, x, predictor.by_starts(parameters, x), _SOFT)
     return stand(likelihood, space, z, x, 0.0)
 
 

@@ -42,7 +42,6 @@ TABLE = [
     (f"{SIM} --record {{tmp}}/notes.csv", 3, "notes.csv"),
     (f"{SIM} --record {{tmp}}/notes.csv/drive.mcap", 3, "notes.csv", "--record"),
     (f"{SIM} --seed -1", 2, "--seed -1: 0 or more"),
-    (f"{SIM} --speed -1", 2, "--speed -1: more than 0 m/s"),
     (f"{SIM} --speed nan", 2, "--speed nan: more than 0 m/s"),
     (f"{SIM} --speed 30", 4, "--speed: speed = 30.0: above 20.0 m/s"),
     (f"{SIM} --rate 5", 2, "--rate 5", "20 to 1000 Hz"),
@@ -67,7 +66,6 @@ TABLE = [
     # what could not run is not installed
     ("service install --port /dev/vesc", 2, "a car needs --port and --mocap"),
     ("service install --sim --auto-arm", 2, "a service starts disarmed"),
-    ("service install --sim --fast", 2, "a service starts disarmed"),
     (f"service install {PORT} --path loop", 2, "no path called 'loop'"),
     (f"service install {PORT} --rate 5", 2, "50 to 1000 Hz"),
     (f"service launch {PORT} --record '$(env HOME).mcap'", 2, "be written in a launch file"),
@@ -100,7 +98,6 @@ TABLE = [
     ("import {tmp}/run.db3.zstd", 3, "a ROS 2 bag folder"),
     ("import csv", 2, "takes one log"),
     ("import {tmp}/run.csv", 2, "needs a map"),
-    ("import {tmp}/run.csv {tmp}/run.csv", 2, "takes one log, not 2"),
     ("import {tmp}/run.csv --erpm-gain 0 --map {tmp}/map.toml -o {tmp}/a.mcap", 2, "4614"),
     ("identify {tmp}/none.mcap --car none.toml", 3, "none.toml does not exist"),  # a car file first
     *(
@@ -129,14 +126,12 @@ SLOW = [
     ("identify {run} --free mass.scale", 2, "mass.scale is no parameter"),
     ("identify {run} --fix mass=heavy", 2, "--fix mass=heavy: not a number"),
     ("identify {run} --fix lenght=3", 2, "lenght is no parameter"),
-    ("identify {run} --fix mass=-3", 2, "expected a number >= 0.02"),
     ("identify {run} --fix mass=nan", 2, "expected a number >= 0.02"),
     ("identify {run} --fix lf=0.1,lr=0.15 --wheelbase 0.33", 2, "a wheelbase of 0.33 m"),
     ("identify {run} --fix lf=0.4 --wheelbase 0.33", 2, "a wheelbase of 0.33 m"),
     ("identify {run} --wheelbase 324", 2, "in metres"),
     ("identify {run} --held-out 0", 2, "something must validate"),
     ("identify {run} --held-out 1", 2, "2 or more"),
-    ("identify {run} --held-out -3", 2, "2 or more"),
     ("identify {run} --held-out 4 --held-out last.mcap", 2, "not both"),
     ("identify {run} --held-out {run}", 2, "every session is held out"),
     ("identify {run} --held-out {tmp}/drive.backup", 2, "every session is held out"),

@@ -147,7 +147,7 @@ def test_no_hypothesis_is_worse_than_one_nested_in_it_and_probabilities_are_a_po
 
 
 @pytest.mark.parametrize(("case", "hidden"), [
-    ("late", {"steer_delay": (0.03, 0.003)}),
+    ("fine", {}), ("late", {"steer_delay": (0.03, 0.003)}),
     ("both", {"steer_delay": (0.04, 0.004), "speed_scale": (0.93, 0.01)}),
 ])  # fmt: skip
 def test_hidden_effects_are_named_and_none_is_invented(case, hidden, request):
@@ -158,7 +158,8 @@ def test_hidden_effects_are_named_and_none_is_invented(case, hidden, request):
         assert found.best.point.parameters[place] == pytest.approx(value, abs=near)
     if case == "late":
         assert found.probability("steer_delay") > 0.95
-        assert found.best.point.size < c.GAP_SIZE < found.start.size
+        assert found.start.size > c.GAP_SIZE
+    assert case == "both" or found.best.point.size < c.GAP_SIZE
 
 
 def test_where_an_effect_leaves_no_gap_none_clearly_behind_it_is_searched(late, monkeypatch):
@@ -176,13 +177,6 @@ def test_two_causes_are_tried_where_neither_alone_outweighs_none(both, monkeypat
     against = single + 1.0 - found.null.log_odds
     monkeypatch.setattr(c, "GAP_ODDS", c.GAP_ODDS * np.exp(-against))
     assert explain(library).hypotheses[0].effects == found.best.effects
-
-
-def test_of_a_healthy_drive_the_base_alone_is_the_likeliest(fine):
-    _, found = fine
-    assert found.best is found.null
-    assert found.null.probability > 0.5
-    assert found.null.point.size < c.GAP_SIZE
 
 
 @pytest.mark.parametrize(("case", "more"), [("late", 1.0), ("both", c.FURTHER_ODDS)])

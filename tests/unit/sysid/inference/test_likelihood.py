@@ -7,7 +7,7 @@ from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.disturbance_response import responses
 from steerd.sysid.inference.likelihood import SIZES, loss_of, take_some
 from steerd.sysid.inference.noise import MEMORY, instrument_variance, learn_noise, slip_shape
-from steerd.sysid.inference.search import stand, with_size
+from steerd.sysid.inference.search import stand
 from tests.unit.sysid.inference.conftest import NOISE
 
 
@@ -16,17 +16,15 @@ def dense(healthy):
     """(W, D, D) covariances of healthy windows and of a discrepancy of size 1, 0 in padding."""
     parameters, x = healthy.augmented.base, healthy.guess
     seen = responses(healthy, parameters, x, (0, 1, 2))
+    at = 0.1 * np.arange(seen.shape[3])
+
+    def coloured(sizes, memory):
+        kernel = np.exp(-np.abs(at[:, None] - at) / memory)
+        return np.einsum("i,iwdp,pq,iweq->wde", np.square(sizes), seen, kernel, seen, optimize=True)
+
     own = NOISE.wheel_slip**2 * slip_shape(healthy, healthy.errors(parameters, x)[0])
     own[:, range(own.shape[1]), range(own.shape[1])] += instrument_variance(healthy, NOISE)
-    own += _coloured(seen, NOISE.pushes, MEMORY)
-    return own, _coloured(seen, c.DISCREPANCY, c.DISCREPANCY_MEMORY)
-
-
-def _coloured(seen, sizes, memory):
-    """Covariance of pushes in pieces of a tenth of a second."""
-    at = 0.1 * np.arange(seen.shape[3])
-    kernel = np.exp(-np.abs(at[:, None] - at) / memory)
-    return np.einsum("i,iwdp,pq,iweq->wde", np.square(sizes), seen, kernel, seen, optimize=True)
+    return own + coloured(NOISE.pushes, MEMORY), coloured(c.DISCREPANCY, c.DISCREPANCY_MEMORY)
 
 
 @pytest.fixture(scope="module")
@@ -117,16 +115,6 @@ def test_gradient_and_curvature_are_difference_quotients(likelihood, small, size
         assert bent == pytest.approx(float(point.at.h[:, i, i].sum()), rel=0.1)
 
 
-def test_another_size_is_a_change_of_weights_alone(likelihood, small):
-    guess = likelihood.predictor.guess
-    point = stand(likelihood, small, small.centre, guess, 2.0)
-    other = with_size(likelihood, point, 0.3)
-    again = likelihood.reduce(likelihood.weigh(point.rotated, 0.3), other.linear.error, other.x)
-    assert (other.at.here, other.at.h) == (pytest.approx(again.here), pytest.approx(again.h))
-    assert other.size == 0.3
-    assert with_size(likelihood, point, 2.0) is point
-
-
 def test_a_weight_is_the_slope_of_the_loss_and_a_window_that_spins_hardly_pulls(likelihood, small):
     """Half of it per square, below and beyond the bound from which a window counts as spun."""
     guess = likelihood.predictor.guess
@@ -159,14 +147,6 @@ def test_the_size_is_that_from_which_errors_were_drawn(likelihood, linear, size)
     assert found == SIZES[int(np.argmin(costs))]
     assert 0.7 * size <= found <= max(1.45 * size, 0.3)
     assert likelihood.best_size(rotated, error, guess, 2.0 * size + 1.0) >= 2.0 * size + 1.0
-
-
-def test_the_share_of_a_discrepancy_grows_from_nothing_to_nearly_all(likelihood):
-    shares = [likelihood.share(float(size)) for size in SIZES]
-    assert shares[0] == 0.0
-    assert (np.diff(shares) > 0.0).all()
-    assert shares[-1] < 1.0
-    assert ((likelihood.pushed > 0.0) & (likelihood.pushed < 1.0)).all()
 
 
 def test_some_windows_have_the_errors_and_losses_that_they_have_among_all(likelihood, small):

@@ -152,18 +152,16 @@ def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, settled_base):
 
 
 def test_a_window_with_fewer_readings_settles_as_it_does_alone(late):
-    parameters, x = late.predictor.augmented.base, late.predictor.guess.copy()
-    x, _ = settle_starts(late, parameters, x, late.predictor.by_starts(parameters, x), 1.0)
+    parameters = late.predictor.augmented.base
     few = late.predictor.padded.there.sum(axis=1) < late.rotation.shape[2]
+
+    def settled(part, x):
+        by = part.predictor.by_starts(parameters, x)
+        return settle_starts(part, parameters, x, by, 1.0)[0]
+
+    x = settled(late, late.predictor.guess)
     x[few] += 0.05
-    alone = take_some(late, few)
-    assert 0 < few.sum() < len(x)
-    assert alone.rotation.shape[2] < late.rotation.shape[2]
-    both = [
-        settle_starts(each, parameters, start, each.predictor.by_starts(parameters, start), 1.0)[0]
-        for each, start in ((late, x), (alone, x[few]))
-    ]
-    assert both[0][few] == pytest.approx(both[1], abs=1e-9)
+    assert settled(late, x)[few] == pytest.approx(settled(take_some(late, few), x[few]), abs=1e-9)
 
 
 @pytest.mark.parametrize("tyres", [{}, STIFF])
