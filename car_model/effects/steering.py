@@ -106,7 +106,7 @@ STEER_CLIP = Effect(
     equation="aim = clip(aim, -limit, limit)",
     parameters=(
         EffectParameter("limit", 1.0, 0.03, 1.0, "rad", 0.75, "largest wheel angle either way",
-                        scan=(0.1, 0.15, 0.2, 0.24, 0.28, 0.32)),
+                        scan=(0.1, 0.15, 0.2, 0.24, 0.28, 0.3, 0.32, 0.34, 0.36, 0.38, 0.4)),
     ),
     least_size=0.0,
     needs_commands=Channel.STEER,
