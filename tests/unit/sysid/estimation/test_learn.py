@@ -175,9 +175,9 @@ def test_a_slew_limit_that_nobody_measured_is_learnt_where_it_is_felt(simulated,
 
 
 # Effects that drives show are learnt with the car, and none where there is none.
-BENT, PLAY = find_effect("steer_asymmetry"), find_effect("steer_backlash")
+BENT, PLAY, STOP = map(find_effect, ("steer_asymmetry", "steer_backlash", "steer_clip"))
 MANNERS_FREE = ("lf", "lr", "c_sf", "c_sr", "steer_gain", "steer_lag")
-ASKED = prep.FitOptions(wheelbase=0.332, effects=(BENT.name, PLAY.name))
+ASKED = prep.FitOptions(wheelbase=0.332, effects=(BENT.name, PLAY.name, STOP.name))
 
 
 @pytest.fixture(scope="module")
@@ -203,21 +203,21 @@ def test_a_bend_of_the_linkage_is_learnt_and_predicted_with(bent, truth):
     assert sum(r["predictions"] for r in page["held_out"]["regimes"]) > 0
 
 
-@pytest.mark.parametrize("play", [0.04, 0.0])
-def test_play_that_no_car_has_by_itself_is_selected_where_there_is_some(make_drive, truth, play):
-    effects, values = ((PLAY,), ((play,),)) if play else ((), ())
-    outcome = _learnt(make_drive(truth._replace(effects=effects, values=values), 30.0, 5), truth)
+@pytest.mark.parametrize(("effect", "size"), [(PLAY, 0.04), (STOP, 0.3), (None, 0.0)])
+def test_what_no_car_has_by_itself_is_selected_where_there_is_some(make_drive, truth, effect, size):
+    effects, values = ((effect,), ((size,),)) if effect else ((), ())
+    outcome = _learnt(make_drive(truth._replace(effects=effects, values=values), 30.0, 59), truth)
     assert [step.effect for step in outcome.fit.selected] == [effect.name for effect in effects]
     assert all(step.gain > 3.0 for step in outcome.fit.selected)
     rows = [row for name, row in outcome.rows.items() if "." in name]
-    near = [pytest.approx(play, abs=min(0.008, 5 * row.sd)) for row in rows[: len(effects)]]
+    near = [pytest.approx(size, abs=min(0.008, 5 * row.sd)) for row in rows[: len(effects)]]
     assert [row.value for row in rows] == near
 
 
 def test_a_car_that_misses_much_is_said_to(make_drive, truth):
     bent = truth._replace(effects=(BENT,), values=((0.45,),))
     run = make_drive(bent, 20.0, 5)
-    none = (*prep.held_names(ASKED), BENT.name, PLAY.name)
+    none = (*prep.held_names(ASKED), BENT.name, PLAY.name, STOP.name)
     outcome = learn(Task((run,), truth, ASKED, free=MANNERS_FREE, held=none), lambda: 0.0)
     assert any("`steerd diagnose` looks for it" in note for note in outcome.notes)
     assert make_rows(bent, truth, {})["steer_asymmetry.asymmetry"][:3] == (0.0, 0.45, None)
