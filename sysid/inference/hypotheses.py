@@ -11,7 +11,6 @@ optimum. No hypothesis may be worse than one nested in it: bases are exchanged u
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -337,13 +336,14 @@ def _looks(
         yield Candidate(effect.name, tuple(z[own].tolist()), cost)
 
 
-def _prior(library: Library, space: Space, base: Array) -> "_Prior":
+_Prior = tuple[Array, Array]
+
+
+def _prior(library: Library, space: Space, base: Array) -> _Prior:
     """How far the base's coordinates (n,) are from their centre, and the precision of that."""
-    n = len(base)
-    return base - space.centre[:n], library.worth * np.linalg.inv(space.covariance[:n, :n])
-
-
-_Prior = tuple[Array, Any]
+    n, worth = len(base), library.worth
+    precision = np.linalg.inv(space.covariance[:n, :n] / worth)
+    return base - space.centre[:n], np.asarray(precision, np.float64)
 
 
 def _expected(
