@@ -211,8 +211,7 @@ def range_words(regime: Regime) -> str:
     scale, unit = (math.degrees(1.0), "°") if regime.unit == "rad" else (1.0, f" {regime.unit}")
     low, high = scale * regime.low, scale * regime.high
     span = high - low
-    places = min(max(1 - math.floor(math.log10(span)), 0), 4) if span > 0.0 else 2
-    places = 0 if span >= 10.0 else places
+    places = min(max(1 - math.floor(math.log10(max(span, 1e-4))), 0), 4) if span < 10.0 else 0
     first, last = f"{low:.{places}f}", f"{high:.{places}f}"
     text = f"{first} to {last}" if first != last else f"{low:.3g}"
     return f"{text}{unit.replace('^2', '²')}"

@@ -204,10 +204,9 @@ def test_packing_keeps_values_to_one_level(items):
 
 
 def test_a_break_lasts_until_the_next_value():
-    grid = make_grid(0.0, 1.0, 100)
     t = np.arange(10) * 0.1 + 0.001
     value = np.array([1.0, 2.0, np.nan, np.nan, 3.0, 4.0, 4.0, 4.0, 4.0, np.nan])
-    _, kinds = decimate(grid, t, value)
+    _, kinds = decimate(make_grid(0.0, 1.0, 100), t, value)
     assert set(kinds[40:80]) == {BREAK}
     assert set(kinds[20:40]) == {VALUE, HELD}
     assert set(kinds[180:]) == {BREAK}
@@ -339,8 +338,7 @@ def test_the_shift_is_found_to_a_step_for_laps_of_unequal_length_with_a_hole(shi
 def test_a_drive_is_itself_at_no_shift_and_another_at_a_given_one():
     read = load_recording(Path(__file__).parents[3] / "golden" / "slalom.mcap")
     same = overlay(read, read)
-    assert same.found
-    assert same.shift == 0.0
+    assert (same.found, same.shift) == (True, 0.0)
     assert all(np.nanmax(np.abs(difference)) == 0.0 for *_, difference in same.pairs.values())
     moved = overlay(read, read, 0.5)
     known, later = same.pairs["speed [m/s]"][0], moved.pairs["speed [m/s]"][1]

@@ -133,13 +133,10 @@ def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, settled_base):
     likelihood, space = replace(likelihood, predictor=predictor), make_space(augmented, FEW)
     x += rng.standard_normal(x.shape) * [0.05, 0.05, 0.1, 0.3, 1.0, 0.1, 0.1]
     x[::4] += [0.3, -0.3, 1.5, 2.0, 20.0, 1.2, 0.0]
-    before, _ = predictor.errors(p, x)
+    before = likelihood.rotate_error(predictor.errors(p, x)[0])
     found = search.stand(likelihood, space, space.centre, x, 0.0)
-    error, _ = predictor.errors(p, found.x)
-    actual, held = (
-        likelihood.squares(likelihood.rotate_error(error), found.x, 0.0),
-        found.rotated.held,
-    )
+    row = likelihood.rotate_error(predictor.errors(p, found.x)[0])
+    actual, held = likelihood.squares(row, found.x, 0.0), found.rotated.held
     assert held.any(), "some windows are too bent to be settled from so far"
     assert not held.all()
     promised = actual - found.at.square
@@ -147,17 +144,15 @@ def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, settled_base):
     assert np.allclose(actual, found.at.here, rtol=1e-9)
     assert np.allclose(actual[held], found.at.square[held], rtol=1e-9)
     assert not found.at.dx[held].any()
-    before = likelihood.rotate_error(before)
     assert np.all(actual <= likelihood.squares(before, x, 0.0) * (1.0 + 1e-9))
 
 
 def test_a_window_with_fewer_readings_settles_as_it_does_alone(late):
-    parameters = late.predictor.augmented.base
-    few = late.predictor.padded.there.sum(axis=1) < late.rotation.shape[2]
+    p, there = late.predictor.augmented.base, late.predictor.padded.there
+    few = there.sum(axis=1) < there.shape[1]
 
     def settled(part, x):
-        by = part.predictor.by_starts(parameters, x)
-        return settle_starts(part, parameters, x, by, 1.0)[0]
+        return settle_starts(part, p, x, part.predictor.by_starts(p, x), 1.0)[0]
 
     x = settled(late, late.predictor.guess)
     x[few] += 0.05
@@ -176,8 +171,7 @@ def test_starts_that_are_far_off_come_back(likelihood, small, settled_base, tyre
         start = settled_base.x + off
         x, left = settle_starts(likelihood, p, start, predictor.by_starts(p, start), 0.02)
         assert not left.any()
-        row = likelihood.rotate_error(predictor.errors(p, x)[0])
-        square = likelihood.squares(row, x, 0.02)
+        square = likelihood.squares(likelihood.rotate_error(predictor.errors(p, x)[0]), x, 0.02)
         costs.append(loss_of(square, likelihood.dof))
     assert (costs - costs[0]).max() < 0.1
 
