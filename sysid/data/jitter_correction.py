@@ -11,9 +11,8 @@ from dataclasses import replace
 from itertools import accumulate
 
 import numpy as np
-from numpy.typing import NDArray
 
-from steerd.sysid.data.data_checks import Array
+from steerd.sysid.data.data_checks import Array, Mask
 from steerd.sysid.data.dataset import LogJitter, Run, Signal, hold_means, pose_speed
 
 PERIOD_LOW, PERIOD_HIGH = 0.04, 0.5
@@ -102,7 +101,7 @@ def _response(run: Run, t: Array, delay: float) -> Array:
     return np.array([*accumulate(held, lambda angle, aim: aim + kept * (angle - aim))])
 
 
-def _curvature(run: Run) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _curvature(run: Run) -> tuple[Array, Array, Mask]:
     """Grid times, curvature of the path [1/m], and whether the car moves and poses are near."""
     grid: Array = (np.arange(len(run.commands)).astype(float) + 0.5) * run.h
     t, pose = run.pose

@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.native.windows import Stations, Windows
-from steerd.sysid.data.data_checks import Array, noise_of
+from steerd.sysid.data.data_checks import Array, Indices, Mask, noise_of
 from steerd.sysid.data.dataset import HISTORY, Run, Signal
-
-Indices = NDArray[np.int64]
 
 GROUPS: tuple[str, ...] = ("position", "yaw", "wheel_speed", "yaw_rate")
 """Measurements that share a noise level: [m], [rad], [m/s], [rad/s]."""
@@ -97,7 +95,7 @@ class Layout:
         return np.maximum(self.channel - 1, 0)
 
     @property
-    def has_past(self) -> NDArray[np.bool_]:
+    def has_past(self) -> Mask:
         """(W,) whether the commands before the window are known."""
         past = self.spans[:, 2] - self.spans[:, 0]
         return np.asarray(past >= round(HISTORY / self.h) // 2)
@@ -257,7 +255,7 @@ def thinned(layout: Layout, spacing: float = SPACING) -> Layout:
     return take_readings(layout, kept)
 
 
-def take_readings(layout: Layout, kept: NDArray[np.bool_] | Indices) -> Layout:
+def take_readings(layout: Layout, kept: Mask | Indices) -> Layout:
     """The layout with some of its readings (mask or places in `seen`, sorted by window)."""
     window, kind = layout.seen.window[kept], layout.seen.kind[kept]
     width = _width(kind)
@@ -268,7 +266,7 @@ def take_readings(layout: Layout, kept: NDArray[np.bool_] | Indices) -> Layout:
     return replace(layout, seen=seen, values=layout.values[rows], bounds=bounds)
 
 
-def take_windows(layout: Layout, chosen: NDArray[np.bool_]) -> Layout:
+def take_windows(layout: Layout, chosen: Mask) -> Layout:
     """The layout of some of its windows (mask (W,))."""
     cut = take_readings(layout, chosen[layout.seen.window])
     window = (np.cumsum(chosen) - 1)[cut.seen.window]

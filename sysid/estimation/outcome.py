@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.model import Model
 from steerd.car_model.native.trace import parameter_names
 from steerd.car_model.native.windows import parameter_vector
 from steerd.car_model.params import PARAMETERS, Car
-from steerd.sysid.data.data_checks import Array
+from steerd.sysid.data.data_checks import Array, Indices
 from steerd.sysid.data.dataset import LogJitter, Pulse, Ramp, Run
 from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.data.windows import estimate_noise
@@ -44,7 +43,7 @@ class Residuals(NamedTuple):
     """Measurements minus predictions of all windows."""
 
     t: Array  # (R,) time into the drive [s]
-    group: NDArray[np.int64]  # (R,) which kind, see `windows.GROUPS`
+    group: Indices  # (R,) which kind, see `windows.GROUPS`
     error: Array  # (R,) in units
     signal: Array  # (4,) noise of the signals themselves
 

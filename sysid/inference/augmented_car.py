@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import Effect
@@ -25,11 +24,10 @@ from steerd.car_model.model import Model, believed_car
 from steerd.car_model.native.windows import Kernels, make_kernels, model_of, parameter_vector
 from steerd.car_model.params import Car
 from steerd.car_model.planar import make_planar
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.chart import places_of
-
-Array = NDArray[np.float64]
 
 NO_SLIP = 1e6
 """Slip stiffness of wheels that turn as fast as the ground passes, to a tenth of a millimetre."""

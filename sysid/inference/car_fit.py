@@ -15,10 +15,10 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.model import Model
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import thinned
 from steerd.sysid.data.windows import estimate_noise
@@ -44,8 +44,6 @@ from steerd.sysid.inference.space import (
     nuisance_names,
     weak_knowledge,
 )
-
-Array = NDArray[np.float64]
 
 ORDINARY: dict[str, float] = {
     "lf": 0.075, "lr": 0.1, "steer_gain": 0.33, "inertia_z": 0.4, "c_sf": 0.7, "c_sr": 0.7,

@@ -15,11 +15,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import Effect
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import BasePrior, Control, inflate_each, knowledge_section
@@ -31,8 +31,6 @@ from steerd.sysid.inference.posterior import between_halves, design_effect, post
 from steerd.sysid.inference.residuals import blocks_of
 from steerd.sysid.inference.search import Point, minimise
 from steerd.sysid.inference.space import LIMITS
-
-Array = NDArray[np.float64]
 
 MODEL_ERROR: dict[str, float] = {
     "c_sf": 4.0, "c_sr": 2.3, "c_x": 2.0, "inertia_z": 4.5, "steer_gain": 2.0, "speed_gain": 2.5,

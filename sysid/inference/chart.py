@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
 from steerd.car_model.native.trace import parameter_names
 from steerd.car_model.params import DEFAULT_CAR, PARAMETERS
 from steerd.car_model.params import wheelbase as length_of
-
-Array = NDArray[np.float64]
+from steerd.sysid.data.data_checks import Array, Mask
 
 INVERSE = frozenset({"c_sf", "c_sr", "c_x"})
 LOGARITHM = frozenset({"mu", "mass", "speed_gain", "steer_rate"})
@@ -77,11 +75,11 @@ class Chart:
         return [self.names.index(name) for name in self.free]
 
     @cached_property
-    def _inverse(self) -> NDArray[np.bool_]:
+    def _inverse(self) -> Mask:
         return np.array([name in INVERSE for name in self.free], bool)
 
     @cached_property
-    def _log(self) -> NDArray[np.bool_]:
+    def _log(self) -> Mask:
         return np.array([name in LOGARITHM for name in self.free], bool)
 
     @cached_property

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.car_model.model import observe
@@ -26,9 +25,8 @@ from steerd.car_model.native.windows import (
 )
 from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.state import State
+from steerd.sysid.data.data_checks import Array, Indices
 from steerd.sysid.inference.predictor import Predictor
-
-Array = NDArray[np.float64]
 
 INPUTS: tuple[str, ...] = ("accel", "lateral", "yaw", "steer", "drive")
 """Which equation an input belongs to: speed, side slip, yaw rate; steering and drive actuator."""
@@ -62,9 +60,7 @@ class _Nominal:
     def steps(self) -> int:
         return int(self.path.shape[1]) - 1
 
-    def march(
-        self, first: Array, held: HeldCommands, runs: NDArray[np.int64], t: Array, steps: int
-    ) -> Array:
+    def march(self, first: Array, held: HeldCommands, runs: Indices, t: Array, steps: int) -> Array:
         """States (windows, moments, 7 + memory) at every step from the first ones."""
         blocks, kernels = make_window_blocks(runs, t), self.predictor.augmented.kernels
         path = march(kernels, self.parameters, first, held, blocks, steps)

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import softmax
 
 from steerd.car_model.effect import Effect, Role
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.library import Library, carry, linearise
 from steerd.sysid.inference.likelihood import Weighed, loss_of
@@ -25,8 +25,6 @@ from steerd.sysid.inference.places import suspicious_discs
 from steerd.sysid.inference.residuals import excess_of
 from steerd.sysid.inference.search import BEHIND, Point, minimise, newton, open_point, stand
 from steerd.sysid.inference.space import Space
-
-Array = NDArray[np.float64]
 
 _FITTED, _FITTED_FURTHER = 6, 3
 """Hypotheses with a first effect that are brought to their optimum, and with a further one."""

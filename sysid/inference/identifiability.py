@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
 from steerd.car_model.params import GRAVITY
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.inference.chart import INVERSE, RELATIVE, SPREAD, WHEELBASE, Chart, make_chart
-
-Array = NDArray[np.float64]
 
 RELATIVE_MAX = 0.05
 """A length, stiffness or scale is known when its standard error is below this share of it."""

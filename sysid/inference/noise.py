@@ -11,15 +11,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtri
 from scipy.optimize import minimize
 
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.inference.constants import NOISE_KEPT
 from steerd.sysid.inference.disturbance_response import PIECE, responses
 from steerd.sysid.inference.predictor import FREE_STATES, Linear, Predictor
-
-Array = NDArray[np.float64]
 
 MEMORY = 0.1
 """Correlation time of the pushes [s]."""

@@ -5,9 +5,8 @@ every disc about a window, of some radii, is compared with the rest of the floor
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from steerd.sysid.data.data_checks import Array
 
 RADII = (0.6, 1.0, 1.6, 2.5)
 """Of the discs that are tried [m]."""

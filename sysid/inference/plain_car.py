@@ -14,11 +14,10 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.model import Model
-from steerd.sysid.data.data_checks import DataError
+from steerd.sysid.data.data_checks import Array, DataError
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import BLOCK
 from steerd.sysid.data.windows import GROUPS, estimate_noise
@@ -29,8 +28,6 @@ from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.predictor import HORIZON, Predictor, open_predictor
 from steerd.sysid.inference.search import Point, curvature, minimise, open_point, stand, with_size
 from steerd.sysid.inference.space import SPEED_LOOP, hidden_names, make_space, weak_knowledge
-
-Array = NDArray[np.float64]
 
 DEFAULT_FREE: tuple[str, ...] = (
     "lf", "lr", "c_sf", "c_sr", "inertia_z", "steer_gain", "steer_bias", "steer_delay",

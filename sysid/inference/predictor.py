@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from steerd.car_model.chassis import KINEMATIC_RATE, dynamic_share
@@ -27,6 +26,7 @@ from steerd.car_model.native.windows import (
 from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.params import Car
 from steerd.car_model.rollout import stiffness_rate
+from steerd.sysid.data.data_checks import Array, Indices, Mask
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import (
     SPACING,
@@ -38,8 +38,6 @@ from steerd.sysid.data.windows import (
 )
 from steerd.sysid.inference.augmented_car import AugmentedCar
 from steerd.sysid.inference.space import Space
-
-Array = NDArray[np.float64]
 
 HORIZON = 1.0
 """Length of a window [s]: delays, gains and tyres all show within it, nothing compounds yet."""
@@ -70,7 +68,7 @@ SUBSTEPS_MAX = 16
 class Padded(NamedTuple):
     """Rows by window."""
 
-    row: NDArray[np.int64]  # (W, D) place among all rows, of the first where several are averaged
+    row: Indices  # (W, D) place among all rows, of the first where several are averaged
     there: Array  # (W, D) 1 where there is one
     merged: Array  # (W, D) how many are averaged
     weights: csr_array  # (W * D, R) of the averages
@@ -79,8 +77,8 @@ class Padded(NamedTuple):
 class Alike(NamedTuple):
     """Windows that are integrated in steps of the same length."""
 
-    chosen: NDArray[np.bool_]  # (W,) which; rows: (R,) theirs
-    rows: NDArray[np.bool_]
+    chosen: Mask  # (W,) which; rows: (R,) theirs
+    rows: Mask
     layout: Layout  # they alone
     held: HeldCommands  # the commands as they are integrated over
     windows: Windows  # in integration steps
@@ -102,7 +100,7 @@ class Predictor:
     augmented: AugmentedCar  # the car
     layout: Layout  # the windows
     padded: Padded  # rows by window
-    substeps: NDArray[np.int64]  # (W,) integration steps to a command
+    substeps: Indices  # (W,) integration steps to a command
     means: bool = False  # see `open_predictor`
 
     @property
@@ -120,13 +118,13 @@ class Predictor:
         """The windows by how long their steps are."""
         return [self._alike(self.substeps == n, n) for n in np.unique(self.substeps).tolist()]
 
-    def _alike(self, chosen: NDArray[np.bool_], steps: int) -> Alike:
+    def _alike(self, chosen: Mask, steps: int) -> Alike:
         rows, layout = chosen[self.layout.window], take_windows(self.layout, chosen)
         held = HeldCommands(layout.commands, layout.h, steps, INTEGRATOR)
         return Alike(chosen, rows, layout, held, layout.kernel_windows(steps))
 
     @property
-    def channel(self) -> NDArray[np.int64]:
+    def channel(self) -> Indices:
         """(W, D) channel of each row, see `Layout.channel`."""
         return np.asarray(self.layout.channel[self.padded.row])
 
@@ -228,7 +226,7 @@ class Predictor:
         needed = [stable_substeps(car, low, high, layout.h, INTEGRATOR) for low, high in speeds]
         return replace(self, substeps=np.maximum(self.substeps, needed))
 
-    def take(self, chosen: NDArray[np.bool_]) -> "Predictor":
+    def take(self, chosen: Mask) -> "Predictor":
         """The predictor on some of its windows (boolean mask (W,))."""
         layout = take_windows(self.layout, chosen)
         padded, substeps = pad_rows(layout, self.means), self.substeps[chosen]

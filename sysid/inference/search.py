@@ -11,15 +11,13 @@ step until it reaches the size that the errors themselves ask for (graduated opt
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed, take_some
 from steerd.sysid.inference.predictor import Linear
 from steerd.sysid.inference.space import Space
 from steerd.sysid.inference.starts import owes, settle_starts
-
-Array = NDArray[np.float64]
 
 FALL = 2.2
 """The size falls by this factor a step at most: faster, dead times are left behind."""

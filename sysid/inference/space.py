@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.effect import Channel
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import AugmentedCar, BasePrior
@@ -22,8 +22,6 @@ from steerd.sysid.inference.chart import (
     make_chart,
     relative_length,
 )
-
-Array = NDArray[np.float64]
 
 WIDER = 2.0
 """Prior standard deviation of a base parameter per standard error of its identification."""
