@@ -94,10 +94,7 @@ def _check_clock(name: str, t: Array, pose: Array) -> None:
 
 
 def check_excited(steers: list[Array]) -> None:
-    """Refuse drives whose steering is one constant throughout.
-
-    Args:
-        steers: commanded angles of each drive [rad].
+    """Refuse drives whose commanded angles [rad] are one constant throughout.
 
     Raises:
         DataError: it is.

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import floor
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +29,6 @@ BLOCK = 5.4  # length of the blocks of which every k-th is held out [s]
 PIECE = 30.0  # length of the pieces that stand for a long drive [s]
 _ROUNDED = 1.0 + 1e-9
 SIGNALS = ("pose", "wheel", "yaw_rate", "steer", "speed_command")  # of a drive, with times
-T = TypeVar("T")
 
 
 def make_segment(run: Run, low: float, high: float) -> Run:
@@ -191,7 +190,7 @@ def make_blocks(
     return tuple(found)
 
 
-def split_every(parts: Sequence[T], every: int) -> tuple[tuple[T, ...], tuple[T, ...]]:
+def split_every(parts: Sequence[Run], every: int) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
     """All but every k-th part, and those."""
     held_out = tuple(parts[every - 1 :: every])
     return tuple(part for i, part in enumerate(parts) if i % every != every - 1), held_out

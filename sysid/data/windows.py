@@ -56,23 +56,15 @@ class Layout:
         return len(self.spans)
 
     @cached_property
-    def _rows(self) -> tuple[Array, Indices]:
-        t, channel = np.empty(len(self.values)), np.empty(len(self.values), np.int64)
-        for number in range(3):
-            mine = (self.seen.kind == 0) | (number == 0)
-            at = self.seen.row[mine] + number
-            t[at], channel[at] = self.seen.t[mine], _CHANNELS[self.seen.kind[mine]] + number
-        return t, channel
-
-    @property
     def row_t(self) -> Array:
         """(R,) time of each row since its window's start [s]."""
-        return self._rows[0]
+        return np.repeat(self.seen.t, _width(self.seen.kind))
 
-    @property
+    @cached_property
     def channel(self) -> Indices:
         """(R,) 0 x, 1 y, 2 yaw, 3 wheel speed, 4 yaw rate."""
-        return self._rows[1]
+        first = _CHANNELS[self.seen.kind] - self.seen.row
+        return np.repeat(first, _width(self.seen.kind)) + np.arange(len(self.values))
 
     @property
     def window(self) -> Indices:

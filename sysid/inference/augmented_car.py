@@ -67,15 +67,11 @@ class BasePrior:
 
 
 def inflate_each(covariance: Array, pulls: Array) -> Array:
-    """The covariance with each coordinate as wide as its own scores make it, correlations kept.
+    """The covariance (n, n) with each coordinate as wide as its scores make it, correlations kept.
 
-    This is the sandwich of White (1982), coordinate by coordinate, never narrower than before: with
-    about as many coordinates as pieces no direction is separated from chance, but a single
-    coordinate's standard error is known from p pieces to one part in sqrt(2 p).
-
-    Args:
-        covariance: (n, n) as curvature gives it.
-        pulls: (p, n) scores of pieces of driving.
+    The sandwich of White (1982) with the scores (p, n) of pieces of driving, coordinate by
+    coordinate, never narrower than before: with about as many coordinates as pieces no direction is
+    separated from chance, but a single one's standard error is known to one part in sqrt(2 p).
     """
     away, pieces = pulls - pulls.mean(axis=0), max(float(len(pulls)), 2.0)
     scores = away.T @ away * pieces / (pieces - 1.0)

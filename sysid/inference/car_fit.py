@@ -114,13 +114,10 @@ def fit_car(
     stated: Stated = NOTHING,
     near: Array | None = None,
 ) -> FittedCar:
-    """Fit car and noise in turn, then with the limits and the play that the drives show.
+    """Fit car and noise in turn to drives without a gap, then with the limits and play they show.
 
-    Args:
-        base: the car that weak priors are about.
-        runs: drives without a gap.
-        stated: what keeps the base's value.
-        near: where the search starts, of `choose_start`; None for the base.
+    Weak priors are about the base; what is stated keeps its value. The search starts `near` the end
+    of `choose_start`, or at the base.
 
     Raises:
         FloatingPointError: the car's simulation diverges where the search starts.

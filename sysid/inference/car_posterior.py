@@ -79,10 +79,7 @@ def describe_lost(fitted: FittedCar, runs: Sequence[Run]) -> tuple[str, ...]:
 def refine(base: CarFile, runs: Sequence[Run], stated: Stated = NOTHING) -> CarFile:
     """The base car as drives without a gap show it: values, errors, `[noise]` and `[knowledge]`.
 
-    Args:
-        base: as identified; only its values are a start.
-        runs: drives without a gap.
-        stated: what keeps the base's value.
+    Of the base only the values are a start; what is stated keeps them.
 
     Raises:
         FloatingPointError: the base car's simulation diverges.
@@ -243,9 +240,7 @@ def least_limits(fitted: FittedCar) -> dict[str, float]:
 def learn_controls(fitted: FittedCar, known: BasePrior) -> tuple[Control, ...]:
     """The healthy drives diagnosed against the car that they fitted, one Newton step an effect.
 
-    Args:
-        fitted: the car.
-        known: what a later diagnosis will know of it.
+    What a later diagnosis will know of the car is `known`.
 
     Raises:
         FloatingPointError: the car's simulation diverges.
@@ -260,7 +255,7 @@ def learn_controls(fitted: FittedCar, known: BasePrior) -> tuple[Control, ...]:
     scanned = replace(library, effects=tuple(e for e in augmented.effects if e.zero_gradient))
     found = [_scanned(library, look, temper) for look in screen_effects(scanned, base)]
     linear = (_control(library, base, effect, temper) for effect in augmented.effects)
-    return (*found, *(control for control in linear if control is not None))
+    return (*found, *filter(None, linear))
 
 
 def _scanned(library: Library, look: Candidate, temper: float) -> Control:

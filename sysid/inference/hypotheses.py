@@ -195,13 +195,9 @@ def explain(
     progress: Callable[[float], None] = lambda share: None,
     known: Point | None = None,
 ) -> Findings:
-    """The hypotheses of a case.
+    """The hypotheses of a case with so many causes at most; `progress` hears the share done.
 
-    Args:
-        library: what may be a hypothesis.
-        most: causes at most.
-        progress: called with the share done.
-        known: an optimum of the base alone, if one was found before.
+    An optimum of the base alone may be known.
 
     Raises:
         FloatingPointError: the base car's simulation diverges.

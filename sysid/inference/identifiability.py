@@ -85,15 +85,9 @@ class Combination:
 def _estimate(
     name: str, value: float, sd: float, doubt: float, prior: float, would: str = ""
 ) -> Estimate:
-    """An estimate, known where its standard error is small by its value or by the one before.
+    """An estimate, known where its error, all doubts included, is small by its value or the prior.
 
-    Args:
-        name: of the parameter.
-        value: its estimate.
-        sd: its standard error; `doubt` with all doubts, by which it is judged.
-        doubt: see `sd`.
-        prior: its standard deviation before any data.
-        would: what would identify it; empty for what is usual.
+    What would identify it is what is usual unless said.
     """
     relative = name in RELATIVE or name in ("lf", "lr")
     if doubt < (RELATIVE_MAX * abs(value) if relative else SPREAD_MAX * prior):

@@ -249,13 +249,9 @@ def take_some(likelihood: Likelihood, chosen: Mask) -> Likelihood:
 
 
 def make_likelihood(predictor: Predictor, parameters: Array, x: Array, noise: Noise) -> Likelihood:
-    """The likelihood with responses about one trajectory of every window.
+    """The likelihood with responses of a car (P,) about its windows' trajectories from `x` (W, 7).
 
-    Args:
-        predictor: the windows.
-        parameters: (P,) of the car that is pushed.
-        x: (W, 7) the windows' starts.
-        noise: how large instruments' noise and ordinary pushes are.
+    The noise says how large that of instruments and ordinary pushes are.
     """
     seen = responses(predictor, parameters, x, (0, 1, 2))
     healthy = covariance(predictor, noise, seen, predictor.errors(parameters, x)[0])

@@ -17,15 +17,10 @@ _FEWEST = 2
 
 
 def suspicious_discs(where: Array, badness: Array) -> list[tuple[float, float, float]]:
-    """Discs whose windows are worse than the others, the most significant first.
+    """Discs (x, y, radius) [m] whose windows are worse than the others, the most significant first.
 
-    Args:
-        where: (W, 2) places of the windows [m].
-        badness: (W,) squared error of each by what noise leaves.
-
-    Returns:
-        Centre and radius of each [m]; no disc's centre lies within another. Empty where no disc
-        of at least two windows is worse than the rest.
+    Windows are at places (W, 2) [m], each as bad as its squared error is by what noise leaves (W,).
+    No disc's centre lies within another. Empty where none of two windows or more is worse.
     """
     if not len(where):
         return []

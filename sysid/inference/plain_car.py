@@ -124,14 +124,10 @@ def silent_names(runs: Sequence[Run], asked: Sequence[str]) -> tuple[str, ...]:
 def open_plain(
     runs: Sequence[Run], asked: Asked, rough: PlainCar | None, horizon: float, most: float
 ) -> tuple[Likelihood, Noise]:
-    """Windows of `horizon` seconds under the instruments' noise, and that noise.
+    """Windows of `horizon` [s] under the instruments' noise, and that noise.
 
-    Args:
-        runs: the drives.
-        asked: the car.
-        rough: where the responses to a discrepancy are taken; None for the car as believed.
-        horizon: [s].
-        most: take windows of so much driving, evenly from the whole [s].
+    They last for `most` [s] in all, evenly from the whole. Responses to a discrepancy are taken at
+    the rough car, without one at the car as believed.
     """
     augmented = replace(make_augmented_car(asked.model, runs), wheelbase=asked.wheelbase)
     augmented = replace(augmented, knowledge=weak_knowledge(augmented, asked.free))
@@ -171,11 +167,7 @@ def covariance_of(found: PlainCar, doubts: Sequence[tuple[str, float]]) -> Array
 
     Doubts about other parameters are not estimated; their effect on the coordinates is linear (the
     "consider" parameters of Schmidt, 1966). One about a free parameter stands for itself: no data
-    reduce it.
-
-    Args:
-        found: the car.
-        doubts: parameters that may be off whatever the drives say, and by how much.
+    reduce it. Each is a parameter's name, and by how much it may be off whatever the drives say.
     """
     at, space = found.point.at, found.point.space
     pulls = at.weight[:, None] * at.g

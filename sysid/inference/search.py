@@ -204,11 +204,7 @@ def minimise(
 ) -> Point:
     """Go from a start to the nearest optimum, the size falling from the start's.
 
-    Args:
-        likelihood: the windows.
-        start: where to begin.
-        incumbent: cost of a better hypothesis; a search that stays clearly above it is given up.
-        steps: how many at most.
+    A search that stays clearly above the cost of a better hypothesis, the incumbent, is given up.
     """
     now, stale, damping, whole = start, 0.0, 1e-4, False
     for number in range(steps):

@@ -25,12 +25,8 @@ def settle_starts(
 ) -> tuple[Array, Mask]:
     """Starts (W, 7) at their best, and which (W,) keep no promise: they stay where they are.
 
-    Args:
-        likelihood: the windows.
-        parameters: (P,) of the car.
-        x: (W, 7) where the starts are.
-        by: errors (W, D) and derivatives by the starts (W, D, 7) there.
-        size: of the discrepancy.
+    The car is that of `parameters` (P,), the discrepancy of this size; errors (W, D) and their
+    derivatives by the starts (W, D, 7) at `x` are known.
     """
     x, left = x.copy(), np.zeros(len(x), bool)
     damping, harder = np.full(len(x), _DAMPING), np.full(len(x), 2.0)
