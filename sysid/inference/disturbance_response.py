@@ -118,8 +118,9 @@ def _impulses(
     runs[:, 2] += middle // at.held.substeps
     t = np.tile(layout.t, len(kinds)) + middle * fine
     moved = at.march(first, at.held, runs, t, at.steps - middle)
-    lanes = zip(kinds, np.split(moved, len(kinds)), strict=True)
-    return {i: np.concatenate([path[:, : middle + 1], own[:, 1:]], axis=1) for i, own in lanes}
+    each, before = np.split(moved[:, 1:], len(kinds)), path[:, : middle + 1]
+    after = zip(kinds, each, strict=True)
+    return {kind: np.concatenate([before, own], axis=1) for kind, own in after}
 
 
 def _aimed(at: _Nominal, kind: int, low: int, high: int) -> Array:
