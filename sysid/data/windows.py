@@ -19,18 +19,15 @@ FLOORS = np.array([1e-5, 1e-5, 1e-4, 1e-4])
 POSES_MIN = 4  # a window with fewer poses is left out (its initial state would not be identifiable)
 SPACING = 0.05  # time between readings where they are thinned [s]
 _WINDOWS_MIN = 4
-_GUESS_SPAN = 0.12
-"""Poses within this time of a window's start give the first guess of its state [s]."""
+_GUESS_SPAN = 0.12  # poses within this time of a window's start give the first guess of it [s]
 _CHANNELS = np.array([0, 3, 4])  # first channel of each kind of reading
-_FORGOTTEN = 0.2
-"""Commands that move by so much leave no play as it was; none is wider than 0.15 rad [rad]."""
+_FORGOTTEN = 0.2  # commands that move so far leave no play as it was; none is wider than 0.15 [rad]
 
 
 class Seen(NamedTuple):
     """Readings at stations, sorted by window: a pose has three rows, the others one."""
 
-    # Which window; t: time since its start [s]; kind: 0 pose, 1 wheel speed, 2 yaw rate
-    window: Indices
+    window: Indices  # which; t: time since its start [s]; kind: 0 pose, 1 wheel speed, 2 yaw rate
     t: Array
     kind: Indices
     row: Indices  # first row of the reading

@@ -53,17 +53,14 @@ class Fit:
     """An identified car."""
 
     model: Model[float]  # the car with its effects at the estimates
-    # Every free parameter with standard error and whether the data identify it
-    estimates: dict[str, Estimate]
+    estimates: dict[str, Estimate]  # every free parameter, its error, whether it is identified
     labels: tuple[str, ...]  # of the coordinates; correlation: (n, n) of them
     correlation: Array
     converged: bool  # whether the search came to its end
-    # Residual over signal noise by group: 1 says that the model explains everything
-    misfit: dict[str, float]
+    misfit: dict[str, float]  # residual over signal noise by group: 1 where all is explained
     residuals: Residuals  # of the windows
     horizon: float  # length of the windows [s]
-    # Sums that the data fix even where they leave their members open
-    combinations: tuple[Combination, ...] = ()
+    combinations: tuple[Combination, ...] = ()  # sums that are known where members are open
     selected: tuple[Step, ...] = ()  # effects that the drives show, those that every car has aside
     # Tables for the car file beside its numbers, where they were learnt with it
     sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

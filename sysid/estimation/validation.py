@@ -136,8 +136,7 @@ def errors_at(traces: Sequence[Trace], horizons: Sequence[float]) -> tuple[Predi
 class Regime(NamedTuple):
     """Prediction error where the car was driven within some range of lateral acceleration."""
 
-    # Of the greatest lateral acceleration on the way [m/s^2]
-    lateral_accel_low: float
+    lateral_accel_low: float  # of the greatest lateral acceleration on the way [m/s^2]
     lateral_accel_high: float
     predictions: int  # how many
     median: float  # of the position error at the horizon [m]; rms: as well

@@ -57,16 +57,12 @@ to 2 cm, markers placed to 5 mm and a gain known to 0.1. A tyre's friction falls
 most where its load doubles, which makes `k` 0.15 on a car as low as these; a larger one stands in
 for tyres that slide, and says too much of bends harder than the drives'.
 """
-MEASURED = 5e-4
-"""The wheelbase's share where it was measured: it stays within 0.1 mm of what was stated."""
-_LOUDER, _LOUDEST = 3.0, 80.0
-"""Noise grows by this factor, and to so many times the usual at most, until ..."""
-_FAR_OFF = 0.2
-"""... a smaller share of the windows is bounded at the start."""
+MEASURED = 5e-4  # share of a measured wheelbase: it stays within 0.1 mm of what was stated
+_LOUDER, _LOUDEST = 3.0, 80.0  # noise grows by this factor, and so many times at most, until ...
+_FAR_OFF = 0.2  # ... a smaller share of the windows is bounded at the start
 _STIFFER, _ENOUGH = 3.0, 30.0
 """Stiffness of a further start, and driving that is enough to choose between them [s]."""
-_ROUNDS = 2
-"""How often noise and base are learnt in turn."""
+_ROUNDS = 2  # how often noise and base are learnt in turn
 
 
 class Step(NamedTuple):
@@ -99,8 +95,7 @@ class FittedCar:
     noise: Noise  # how large what is random is
     nuisance: tuple[str, ...]  # names of the car's free parameters
     shares: Mapping[str, float]  # of identification's weak priors, by parameter (see `ORDINARY`)
-    # Effects beyond those of every car that the drives show, the surest first
-    selected: tuple[Step, ...] = ()
+    selected: tuple[Step, ...] = ()  # effects beyond every car's, the surest first
 
     @property
     def augmented(self) -> AugmentedCar:

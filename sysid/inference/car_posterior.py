@@ -50,8 +50,7 @@ MOVED, FORWARD = "marker_offset", "marker_offset.forward"
 """The effect of a mocap body that is elsewhere on the car, and how far ahead that is."""
 _NAMED = 3
 _HALVINGS = 6
-_BY_CHANCE = 1.0
-"""What an effect of two parameters gains by chance [nats]."""
+_BY_CHANCE = 1.0  # what an effect of two parameters gains by chance [nats]
 
 
 def describe_lost(fitted: FittedCar, runs: Sequence[Run]) -> tuple[str, ...]:

@@ -36,10 +36,8 @@ LENGTHS = frozenset(
     {"lf", "lr", "cog_height", "marker_offset.forward", "marker_offset.left", "cog_offset.offset"}
 )
 """What is as uncertain as the car is long: the spreads are those of a car of the default's size."""
-SPREAD_RELATIVE = 1.0
-"""Prior standard deviation of compliances, logarithms and inertia, relative."""
-SPREAD_GAIN = 0.3
-"""The same for the two gains, relative."""
+SPREAD_RELATIVE = 1.0  # prior standard deviation of compliances, logarithms and inertia, relative
+SPREAD_GAIN = 0.3  # the same for the two gains, relative
 WHEELBASE = "wheelbase"
 
 
@@ -50,8 +48,7 @@ class Chart:
     names: tuple[str, ...]  # of all parameters
     prior: Array  # (P,) parameters about which the weak priors lie; the fixed ones stay there
     free: tuple[str, ...]  # names of the free ones
-    # Known distance of the axles [m]: then of lf and lr, one follows from the other
-    wheelbase: float | None
+    wheelbase: float | None  # known [m]: then one of lf and lr follows from the other
     low: Array  # (P,) bounds of the parameters
     high: Array  # (P,)
     spread: Array  # (n,) prior standard deviation of the coordinates

@@ -29,12 +29,9 @@ from steerd.sysid.inference.predictor import Predictor
 
 INPUTS: tuple[str, ...] = ("accel", "lateral", "yaw", "steer", "drive")
 """Which equation an input belongs to: speed, side slip, yaw rate; steering and drive actuator."""
-PIECE = 0.1
-"""Length over which an input is constant [s]."""
-_SIZES = (0.2, 0.2, 1.0, 0.005, 0.05)
-"""Of the finite differences: [m/s^2], [m/s^2], [rad/s^2], [rad], [m/s]."""
-_IMPULSES = 3
-"""The first inputs are impulses on the chassis."""
+PIECE = 0.1  # length over which an input is constant [s]
+_SIZES = (0.2, 0.2, 1.0, 0.005, 0.05)  # of differences: [m/s^2], [m/s^2], [rad/s^2], [rad], [m/s]
+_IMPULSES = 3  # the first inputs are impulses on the chassis
 
 
 class _Nominal(NamedTuple):
@@ -43,8 +40,7 @@ class _Nominal(NamedTuple):
     predictor: Predictor  # the windows
     parameters: Array  # (P,) of the car
     first: Array  # (W, 7 + memory) states at the windows' begin
-    # The commands in the steps of the window that needs the shortest: all have the same
-    held: HeldCommands
+    held: HeldCommands  # the commands in steps of the window that needs the shortest
     steps: int  # of each window
 
     def march(self, first: Array, held: HeldCommands, runs: Indices, t: Array, steps: int) -> Array:

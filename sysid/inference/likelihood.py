@@ -41,8 +41,7 @@ class Rotated(NamedTuple):
 
     by_z: Array  # (W, D, n) by the coordinates
     by_x: Array  # (W, D, 7) by the window's start
-    # (W,) windows whose start takes no step of its own: so bent that none keeps its promise
-    held: Mask
+    held: Mask  # (W,) windows whose start takes no step: so bent that none keeps its promise
 
 
 class Weighed(NamedTuple):
@@ -50,8 +49,7 @@ class Weighed(NamedTuple):
 
     size: float  # of the discrepancy
     weight: Array  # (W, D) precision of each row
-    # (W, 7, D) derivatives by the starts, weighed; `heavy` (W, n, D) by the coordinates
-    turned: Array
+    turned: Array  # (W, 7, D) derivatives by starts, weighed; `heavy` (W, n, D) by coordinates
     heavy: Array
     inverse: Array  # (W, 7, 7) inverse curvature of the starts, priors included
     free: Array  # (W,) 0 where a start takes no step of its own, else 1

@@ -34,21 +34,16 @@ DEFAULT_FREE: tuple[str, ...] = (
     "steer_lag", "speed_gain", "speed_lag",
 )  # fmt: skip
 """Free unless said otherwise. mu only scales the stiffnesses, mass only the inertia: fixed."""
-SPEED_CHANGE = 0.1
-"""A commanded speed that varies by less within every drive was never changed [m/s]."""
-ENOUGH, MOST = 60.0, 240.0
-"""Driving that is enough for a rough car, and for the last stage [s]."""
-POOR = 2.0
-"""Residuals so many times the noise say that the car is not explained, or another one is meant."""
-_OUTLIER = 3.0
-"""Errors beyond so many standard deviations count as that many."""
+SPEED_CHANGE = 0.1  # a commanded speed that varies by less in every drive was never changed [m/s]
+ENOUGH, MOST = 60.0, 240.0  # driving that is enough for a rough car, and for the last stage [s]
+POOR = 2.0  # residuals so many times the noise: not explained, or another car is meant
+_OUTLIER = 3.0  # errors beyond so many standard deviations count as that many
 
 
 class Asked(NamedTuple):
     """What is asked of drives."""
 
-    # The car as believed so far: weak priors lie about it, what is not free stays
-    model: Model[float]
+    model: Model[float]  # as believed so far: weak priors lie about it, what is not free stays
     free: tuple[str, ...]  # names of the free parameters
     wheelbase: float | None = None  # measured distance of the axles [m]
 

@@ -19,8 +19,7 @@ from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.likelihood import Likelihood, take_some
 from steerd.sysid.inference.search import Point, curvature, minimise, stand
 
-_PATTERNS = (1, 2, 3)
-"""Which blocks a half has: those whose number has an odd count of these bits."""
+_PATTERNS = (1, 2, 3)  # which blocks a half has: those whose number has an odd count of these bits
 
 
 @dataclass(frozen=True, eq=False)

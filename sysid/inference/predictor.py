@@ -39,27 +39,22 @@ from steerd.sysid.data.windows import (
 from steerd.sysid.inference.augmented_car import AugmentedCar
 from steerd.sysid.inference.space import Space
 
-HORIZON = 1.0
-"""Length of a window [s]: delays, gains and tyres all show within it, nothing compounds yet."""
+HORIZON = 1.0  # length of a window [s]: delays, gains and tyres show, nothing compounds yet
 INTEGRATOR = "midpoint"
 """Half the work of `rk4`; on a grid of 5 ms a position differs by 0.01 mm after a second."""
 STATE_SPREAD = np.array([0.1, 0.1, 0.2, 0.5, 2.0, 0.2, 0.01])
 """Prior standard deviation of a start about its first guess (poses show it far better)."""
 STEER_SPREAD_UNKNOWN = 0.2
 """That of its steering angle where the commands before the window are not known [rad]."""
-STEER_SPREAD = 0.003
-"""How far the steering may be from where the known commands bring it [rad]."""
-FREE_STATES = 6
-"""States of a start that the window itself determines: what they take is no degree of freedom."""
+STEER_SPREAD = 0.003  # how far the steering may be from where the known commands bring it [rad]
+FREE_STATES = 6  # states of a start that its window determines: they take degrees of freedom
 WILD = 1e3
 """Errors beyond this are a simulation that left the map [m, rad, m/s, rad/s].
 
 Derivatives beyond it count as none: squared and weighed by millimetres they leave no digits.
 """
-WILD_SHARE = 0.5
-"""Share of such windows above which the whole simulation counts as diverged."""
-WILD_ERROR = 1.0
-"""What every reading of such a window is taken to be off by, whatever is changed [m, rad, ...]."""
+WILD_SHARE = 0.5  # share of such windows above which the whole simulation counts as diverged
+WILD_ERROR = 1.0  # every reading of such a window is off by this, whatever is changed [m, rad, ...]
 DECAY_MAX = {"rk4": 2.0, "midpoint": 1.4, "euler": 1.4}
 """Decay per step that is surely stable (the limits are 2.78, 2 and 2)."""
 SUBSTEPS_MAX = 16

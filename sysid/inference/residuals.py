@@ -14,17 +14,13 @@ from steerd.sysid.inference.search import Point, newton, stand, with_size
 from steerd.sysid.inference.space import Space
 from steerd.sysid.inference.starts import settle_starts
 
-LEADS: tuple[float, ...] = (0.1, 0.5, 1.0)
-"""Times after a window's start at which errors are reported [s]."""
-_SOFT = 3.0
-"""Size of the discrepancy under which starts are sought first."""
+LEADS: tuple[float, ...] = (0.1, 0.5, 1.0)  # after a window's start, where errors are reported [s]
+_SOFT = 3.0  # size of the discrepancy under which starts are sought first
 _BOOTSTRAPS = 200
-_FEW = 0.2
-"""Share of the windows that may be spun; of more the model is to blame."""
+_FEW = 0.2  # share of the windows that may be spun; of more the model is to blame
 _HALF_SLOT = 0.5 * SPACING
 FOLDS = 4
-BLOCK = 3
-"""Windows that follow each other and count as one when uncertainty is estimated."""
+BLOCK = 3  # windows that follow each other and count as one when uncertainty is estimated
 
 
 class Error(NamedTuple):

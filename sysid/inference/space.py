@@ -23,12 +23,9 @@ from steerd.sysid.inference.chart import (
     relative_length,
 )
 
-WIDER = 2.0
-"""Prior standard deviation of a base parameter per standard error of its identification."""
-BOX = 3.0
-"""Base parameters stay within this many prior standard deviations."""
-EFFECT_WIDER = 3.0
-"""Prior standard deviation of an effect's parameter per its scale: barely a prior."""
+WIDER = 2.0  # prior standard deviation of a base parameter per standard error of its identification
+BOX = 3.0  # base parameters stay within this many prior standard deviations
+EFFECT_WIDER = 3.0  # prior standard deviation of an effect's parameter per its scale: barely one
 FLOORS = {
     "lf": 0.002, "lr": 0.002, "c_sf": 0.02, "c_sr": 0.02, "c_x": 0.1, "inertia_z": 0.03,
     "steer_gain": 0.004, "steer_bias": 5e-4, "steer_delay": 1e-3, "steer_lag": 2e-3,
@@ -44,10 +41,8 @@ LIMITS = ("steer_rate", "accel_max", "decel_max")
 """Limits, which a data sheet gives for another car; drives that reach them identify this one's."""
 SPEED_LOOP = ("speed_lag", "drive_delay", "accel_max", "decel_max")
 """What lies between a commanded speed and the wheels'."""
-SESSION = 0.3
-"""Of the floors, what a car differs by from one day to the next beside that."""
-UNKNOWN = 3.0
-"""How much wider the floors are where the car file gives no standard error."""
+SESSION = 0.3  # of the floors, what a car differs by from one day to the next beside that
+UNKNOWN = 3.0  # how much wider the floors are where the car file gives no standard error
 
 
 @dataclass(frozen=True, eq=False)

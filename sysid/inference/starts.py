@@ -11,13 +11,10 @@ import numpy as np
 from steerd.sysid.data.data_checks import Array, Mask
 from steerd.sysid.inference.likelihood import Likelihood, loss_of, take_some
 
-OWED = 0.05
-"""A start whose next step promises less than this is at its best [nats]."""
+OWED = 0.05  # a start whose next step promises less than this is at its best [nats]
 _ROUNDS = 20
-_FEWER = 0.7
-"""Windows that still move are taken out where they are a smaller share."""
-_DAMPING, _STUCK = 1e-3, 1e5
-"""Damping at first, and where no step is better."""
+_FEWER = 0.7  # windows that still move are taken out where they are a smaller share
+_DAMPING, _STUCK = 1e-3, 1e5  # damping at first, and where no step is better
 
 
 def settle_starts(

@@ -32,8 +32,7 @@ PAPER_STEP = 0.002  # Euler step of the paper's simulator [s]
 LOW = np.array([0.1, 0.1, 2.0, 2.0])
 HIGH = np.array([0.35, 0.35, 10.0, 10.0])
 """Starts are uniform in between (the paper's 2.857 to 10, divided by 28.57, for the lengths)."""
-RATES = np.array([1.5 / 28.57, 1.5 / 28.57, 0.2, 0.2])
-"""Adam's step sizes, in the parameters' units."""
+RATES = np.array([1.5 / 28.57, 1.5 / 28.57, 0.2, 0.2])  # Adam's steps, in the parameters' units
 CHAMFER_WEIGHT = 100.0
 BATCH = 4
 STRIDE = 100  # steps between the points that soft-DTW aligns (0.2 s)
@@ -41,8 +40,7 @@ SECONDS = 8.0  # length of the paper's runs [s]
 DURATION_MIN = 2.0  # shorter runs are left out [s]
 MOVING = 0.3  # runs are where the speed command is above this [m/s]
 CMA_SIGMA = 3.0  # first spread, as in the paper's authors' experiments
-LENGTH_SCALE = 28.57
-"""They search lengths times this, so that all four parameters lie between 2 and 10."""
+LENGTH_SCALE = 28.57  # they search lengths times this, so that all four parameters lie in 2 to 10
 SCALE = np.array([LENGTH_SCALE, LENGTH_SCALE, 1.0, 1.0])
 
 PAPER_GAMMA = 0.1  # softness in the paper [m^2]
