@@ -204,11 +204,6 @@ def pose_rates(pose: Signal) -> Rates:
     return Rates(t, speed, slope[:, 2])
 
 
-def pose_speed(pose: Signal) -> Signal:
-    """Forward speed from poses [m/s]."""
-    return Signal(*pose_rates(pose)[:2])
-
-
 def _clean(signal: Signal | None) -> Signal:
     if signal is None or not len(signal.t):
         return NOTHING
@@ -280,7 +275,9 @@ def _measured_speed(rolled: Signal, pose: Signal) -> tuple[str, Signal]:
     blur = max(noise_of(pose.t, pose.values[:, i]) for i in (0, 1))
     span = 4.0 * float(np.median(np.diff(pose.t))) if len(pose.t) > 1 else 0.0
     sharp = 0.0 < 2.0**0.5 * blur < POSE_SPEED_NOISE_MAX * span
-    return ("pose", pose_speed(pose)) if sharp or not len(rolled.t) else ("wheel", rolled)
+    if len(rolled.t) and not sharp:
+        return "wheel", rolled
+    return "pose", Signal(*pose_rates(pose)[:2])
 
 
 _SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL)

@@ -16,7 +16,7 @@ import numpy as np
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.sysid.data.data_checks import DataError
-from steerd.sysid.data.dataset import HISTORY, Run, Signal, least_pause, pose_speed
+from steerd.sysid.data.dataset import HISTORY, Run, Signal, least_pause, pose_rates
 
 SPEED_MIN = 0.4  # speed of a segment, at least [m/s] ...
 SPEED_ROLLS = SPEED_KINEMATIC
@@ -112,7 +112,7 @@ def smooth_speed(run: Run) -> Run:
 
 def _spans(run: Run) -> list[tuple[float, float]]:
     """Stretches in which command and pose both say that the car goes forward [s]."""
-    t, speed = pose_speed(run.pose)
+    t, speed, _ = pose_rates(run.pose)
     grid = run.h * np.arange(len(run.commands))
     slow = np.convolve(np.interp(grid, t, speed), np.ones(11) / 11.0, "same")
     least = SPEED_MIN if run.speed_source == "command" else SPEED_ROLLS

@@ -146,13 +146,9 @@ def effect_scales(effects: Sequence[Effect]) -> dict[str, float]:
 def make_chart(
     effects: Sequence[Effect], prior: Array, free: Sequence[str], wheelbase: float | None = None
 ) -> Chart:
-    """Coordinates for some free parameters.
+    """Coordinates for some free parameters, named as in `trace.parameter_names`.
 
-    Args:
-        effects: what is switched on.
-        prior: (P,) parameters about which the weak priors lie.
-        free: names as in `trace.parameter_names`.
-        wheelbase: known distance of the axles [m].
+    Weak priors lie about `prior` (P,); a wheelbase is a known distance of the axles [m].
 
     Raises:
         ValueError: a name is unknown or appears twice.

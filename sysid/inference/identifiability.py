@@ -79,9 +79,9 @@ class Combination:
 def _estimate(
     name: str, value: float, sd: float, doubt: float, prior: float, would: str = ""
 ) -> Estimate:
-    """An estimate, known where its error, all doubts included, is small by its value or the prior.
+    """An estimate, known where its error with every `doubt` is small by its value or its prior's.
 
-    What would identify it is what is usual unless said.
+    What `would` identify it is said where that is not what is usual.
     """
     relative = name in RELATIVE or name in ("lf", "lr")
     if doubt < (RELATIVE_MAX * abs(value) if relative else SPREAD_MAX * prior):

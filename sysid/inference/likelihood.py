@@ -249,7 +249,7 @@ def take_some(likelihood: Likelihood, chosen: Mask) -> Likelihood:
 def make_likelihood(predictor: Predictor, parameters: Array, x: Array, noise: Noise) -> Likelihood:
     """The likelihood with responses of a car (P,) about its windows' trajectories from `x` (W, 7).
 
-    The noise says how large that of instruments and ordinary pushes are.
+    How large instruments' noise and ordinary pushes are, `noise` says.
     """
     seen = responses(predictor, parameters, x, (0, 1, 2))
     healthy = covariance(predictor, noise, seen, predictor.errors(parameters, x)[0])

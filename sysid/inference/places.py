@@ -17,7 +17,7 @@ def suspicious_discs(where: Array, badness: Array) -> list[tuple[float, float, f
     """Discs (x, y, radius) [m] whose windows are worse than the others, the most significant first.
 
     Windows are at places (W, 2) [m], each as bad as its squared error is by what noise leaves (W,).
-    No disc's centre lies within another. Empty where none of two windows or more is worse.
+    No disc's centre lies within another. Empty where no two windows are worse.
     """
     if not len(where):
         return []

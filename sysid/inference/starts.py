@@ -22,8 +22,8 @@ def settle_starts(
 ) -> tuple[Array, Mask]:
     """Starts (W, 7) at their best, and which (W,) keep no promise: they stay where they are.
 
-    The car is that of `parameters` (P,), the discrepancy of this size; errors (W, D) and their
-    derivatives by the starts (W, D, 7) at `x` are known.
+    The car is that of `parameters` (P,), the discrepancy of this size; `by` are the errors (W, D)
+    and the derivatives by the starts (W, D, 7) at `x`.
     """
     x, left = x.copy(), np.zeros(len(x), bool)
     damping, harder = np.full(len(x), _DAMPING), np.full(len(x), 2.0)

@@ -71,11 +71,7 @@ def _asked(speed, rate):
     return _commanded(np.zeros(len(speed)), speed, speed_ramp=rate)
 
 
-def test_a_step_becomes_a_straight_slope_and_without_ramp_or_speed_command_stays():
-    run = _asked(np.concatenate([np.zeros(2), np.full(40, 1.0)]), 5.0)
-    got = ramped(run).commands[:, 1]
-    middle = 0.005 * (np.arange(len(got)) + 0.5)
-    np.testing.assert_allclose(got, np.clip(5.0 * (middle - 0.02), 0.0, 1.0), atol=1e-12)
+def test_speeds_without_ramp_or_command_stay():
     run = _asked(np.linspace(1.0, 2.0, 30), 0.0)
     assert ramped(run) is run
     measured = replace(run, speed_ramp=RATE, speed_source="wheel")
@@ -85,6 +81,7 @@ def test_a_step_becomes_a_straight_slope_and_without_ramp_or_speed_command_stays
 @pytest.mark.parametrize("rate", [0.4, 2.0, 50.0])
 def test_the_setpoint_matches_a_fine_simulation(rate):
     speed = np.cumsum(np.random.default_rng(2).uniform(-0.05, 0.05, 60)) + 1.0
+    speed[30:] += 0.3
     run = _asked(speed, rate)
     fine, now, course = 1e-5, float(speed[0]), []
     for wanted in speed:
