@@ -22,10 +22,8 @@ from steerd.sysid.data.data_checks import Array, DataError, check_run, check_tim
 from steerd.vesc_link.scaling import F1TENTH
 
 GRID = 0.005
-"""Step of the command grid [s], one tick of the control loop; `stability` refines it where needed.
-
-Twice as long is enough for smooth drives (RK4 is good to 1e-3 mm), but blurs dead times by 0.2 ms.
-"""
+"""Step of the command grid [s], a tick of the control loop; `stable_substeps` refines it. Twice as
+long is enough for smooth drives (RK4 is good to 1e-3 mm), but blurs dead times by 0.2 ms."""
 SERVO_FRAME = 0.02  # period of a VESC's servo signal [s]; steerd drives servos through nothing else
 RAMP_ERPM = 25_000.0
 """A VESC's own limit of its speed setpoint's slope [ERPM/s] (`s_pid_ramp_erpms_s`, since 5.03)."""

@@ -50,13 +50,11 @@ ORDINARY: dict[str, float] = {
     "marker_offset.forward": 0.25, "accel_max": 0.2, "decel_max": 0.2,
     "lateral_load_transfer.k": 0.3,
 }  # fmt: skip
-"""Share of identification's weak priors that is left when a base is fitted.
-
-A car comes with a wheelbase (the coordinate of `lf`) known to 15 mm, a centre of gravity known
-to 2 cm, markers placed to 5 mm and a gain known to 0.1. A tyre's friction falls by a few tenths at
-most where its load doubles, which makes `k` 0.15 on a car as low as these; a larger one stands in
-for tyres that slide, and says too much of bends harder than the drives'.
-"""
+"""Share of identification's weak priors that is left when a base is fitted. A car comes with a
+wheelbase (the coordinate of `lf`) known to 15 mm, a centre of gravity known to 2 cm, markers placed
+to 5 mm and a gain known to 0.1. A tyre's friction falls by a few tenths at most where its load
+doubles, which makes `k` 0.15 on a car as low as these; a larger one stands in for tyres that slide,
+and says too much of bends harder than the drives'."""
 MEASURED = 5e-4  # share of a measured wheelbase: it stays within 0.1 mm of what was stated
 _LOUDER, _LOUDEST = 3.0, 80.0  # noise grows by this factor, and so many times at most, until ...
 _FAR_OFF = 0.2  # ... a smaller share of the windows is bounded at the start

@@ -15,15 +15,11 @@ from steerd.sysid.inference.chart import INVERSE, RELATIVE, SPREAD, WHEELBASE, C
 RELATIVE_MAX = 0.05  # a length, stiffness or scale is known whose error is below this share of it
 SPREAD_MAX = 0.2  # all else is known when its standard error is below this share of its prior's
 GAIN_MIN = 8.0
-"""A direction is identifiable when the data shrink its prior standard deviation by more than this.
-
-Less can be an artefact: noise that free initial states take for transients looks informative.
-"""
+"""A direction is identifiable when the data shrink its prior standard deviation by more than this;
+less can be an artefact: noise that free initial states take for transients looks informative."""
 DOUBT = 0.2
-"""No tyre is so stiff that its compliance is known better than this before any data [rad].
-
-Priors lie about the start: circles from a start with large stiffness would seem to show lengths.
-"""
+"""No tyre is so stiff that its compliance is known better than this before any data [rad]. Priors
+lie about the start: circles from a start with large stiffness would seem to show lengths."""
 EXTREME = 2.0  # a stiffness within this factor of a bound is no tyre's
 BOUNDED = ("lf", "lr", "inertia_z", "steer_gain", "speed_gain")
 """What no car has at a bound; stiffnesses have doubts of their own there, and zero is a time."""

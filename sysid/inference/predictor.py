@@ -49,10 +49,8 @@ STEER_SPREAD_UNKNOWN = 0.2
 STEER_SPREAD = 0.003  # how far the steering may be from where the known commands bring it [rad]
 FREE_STATES = 6  # states of a start that its window determines: they take degrees of freedom
 WILD = 1e3
-"""Errors beyond this are a simulation that left the map [m, rad, m/s, rad/s].
-
-Derivatives beyond it count as none: squared and weighed by millimetres they leave no digits.
-"""
+"""Errors beyond this are a simulation that left the map [m, rad, m/s, rad/s]. Derivatives beyond it
+count as none: squared and weighed by millimetres they leave no digits."""
 WILD_SHARE = 0.5  # share of such windows above which the whole simulation counts as diverged
 WILD_ERROR = 1.0  # every reading of such a window is off by this, whatever is changed [m, rad, ...]
 DECAY_MAX = {"rk4": 2.0, "midpoint": 1.4, "euler": 1.4}

@@ -33,10 +33,8 @@ FLOORS = {
     "accel_max": 0.1, "decel_max": 0.1, "pose_delay": 5e-4,
 }  # fmt: skip
 """Least prior standard deviation: what an identified car is off by because every model is wrong.
-
 Relative for stiffnesses, inertia and gains, for lengths of a car of the default's size, else in the
-parameter's unit.
-"""
+parameter's unit."""
 LIMITS = ("steer_rate", "accel_max", "decel_max")
 """Limits, which a data sheet gives for another car; drives that reach them identify this one's."""
 SPEED_LOOP = ("speed_lag", "drive_delay", "accel_max", "decel_max")

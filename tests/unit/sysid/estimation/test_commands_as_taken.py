@@ -35,13 +35,6 @@ def test_every_second_command_is_never_seen(phase, seen):
     assert set(np.round(got[4:-4], 12)) <= set(np.round(steer[seen::2], 12))
 
 
-def test_a_ramp_keeps_its_mean_time():
-    run = _commanded(0.001 * np.arange(200))
-    for phase in (0.005, 0.015):
-        off = (latch(run, phase).commands - run.commands)[40:360, 0]
-        assert np.mean(off) == pytest.approx(0.0, abs=1e-9)
-
-
 @pytest.mark.parametrize("phase", [0.005, 0.015])
 def test_the_phase_is_found_and_the_car_behind_it(make_drive, simulated, phase):
     truth = DEFAULT_CAR._replace(c_sf=4.4, c_sr=5.9, inertia_z=0.05, steer_delay=0.018)

@@ -49,20 +49,6 @@ def test_a_window_that_spins_beyond_all_bounds_tells_no_noise(healthy, linear):
     assert sizes[:-1] == pytest.approx(others[:-1], rel=0.3)  # wheels slip too little
 
 
-def test_one_rotation_diagonalises_both_covariances(likelihood, dense):
-    own, unknown = dense
-    turned = likelihood.rotation.transpose(0, 2, 1)
-    there = likelihood.predictor.padded.there
-    one = np.eye(there.shape[1])
-    assert likelihood.rotation @ own @ turned == pytest.approx(one * there[:, :, None], abs=1e-7)
-    spectrum = likelihood.rotation @ unknown @ turned
-    assert spectrum == pytest.approx(one * likelihood.spectrum[:, :, None], abs=1e-6)
-    shares = [likelihood.share(float(size)) for size in SIZES]
-    assert shares[0] == 0.0 < shares[-1] < 1.0
-    assert (np.diff(shares) > 0.0).all()
-    assert ((likelihood.pushed > 0.0) & (likelihood.pushed < 1.0)).all()
-
-
 @pytest.mark.parametrize("size", [0.0, 0.07, 1.0, 40.0])
 def test_squares_and_determinants_are_those_of_the_dense_covariance(
     likelihood, dense, linear, x, size
