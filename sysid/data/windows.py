@@ -53,15 +53,20 @@ class Layout:
         return len(self.spans)
 
     @cached_property
+    def reading(self) -> Indices:
+        """(R,) of which reading each row is."""
+        return np.repeat(np.arange(len(self.seen.row)), _width(self.seen.kind))
+
+    @cached_property
     def row_t(self) -> Array:
         """(R,) time of each row since its window's start [s]."""
-        return np.repeat(self.seen.t, _width(self.seen.kind))
+        return np.asarray(self.seen.t[self.reading])
 
     @cached_property
     def channel(self) -> Indices:
         """(R,) 0 x, 1 y, 2 yaw, 3 wheel speed, 4 yaw rate."""
         first = _CHANNELS[self.seen.kind] - self.seen.row
-        return np.repeat(first, _width(self.seen.kind)) + np.arange(len(self.values))
+        return np.asarray(first[self.reading] + np.arange(len(self.values)))
 
     @property
     def window(self) -> Indices:

@@ -61,8 +61,8 @@ class _Nominal(NamedTuple):
         with np.errstate(invalid="ignore"):  # a car that spun away reads nothing; it is refused
             state: State[Any] = State(*(a + (at - k)[:, None] * (b - a)).T)
             every = observe(NUMPY, model_of(kernels, self.parameters), state)
-        reading = np.searchsorted(seen.row, np.arange(len(layout.values)), side="right") - 1
-        return predictor.pad(np.stack(np.broadcast_arrays(*every))[layout.channel, reading])
+        read = np.stack(np.broadcast_arrays(*every))
+        return predictor.pad(read[layout.channel, layout.reading])
 
 
 def _nominal(predictor: Predictor, parameters: Array, x: Array) -> _Nominal:
