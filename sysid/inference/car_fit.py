@@ -56,7 +56,7 @@ to 5 mm and a gain known to 0.1. A tyre's friction falls by a few tenths at most
 doubles, which makes `k` 0.15 on a car as low as these; a larger one stands in for tyres that slide,
 and says too much of bends harder than the drives'."""
 MEASURED = 5e-4  # share of a measured wheelbase: it stays within 0.1 mm of what was stated
-_LOUDER, _LOUDEST = 3.0, 80.0  # noise grows by this factor, and so many times at most, until ...
+_LOUDER, _LOUDEST = 3.0, 80.0  # noise grows by this factor, to so many times the usual, until ...
 _FAR_OFF = 0.2  # ... a smaller share of the windows is bounded at the start
 _STIFFER, _ENOUGH = 3.0, 30.0
 """Stiffness of a further start, and driving that is enough to choose between them [s]."""
