@@ -85,20 +85,16 @@ def simulate_reference(
     *,
     effects: Sequence[Effect] = (),
     integrator: str = "rk4",
-    history: int = 0,
-    t: float = 0.0,
 ) -> Tensor:
     """Simulate windows side by side.
 
     Args:
         parameters: (P,) the car's fields, then every effect's parameters.
         first: (B, STATES) states in the order of `State`, or (B, STATES + memory).
-        commands: (B, history + N, 2) steer [rad] and speed [m/s], each held over a step.
+        commands: (B, N, 2) steer [rad] and speed [m/s], each held over a step.
         h: step [s].
         effects: what is switched on.
         integrator: `rk4` or `euler`.
-        history: how many of the commands lie before the first step.
-        t: time into the run at the first step [s].
 
     Returns:
         (B, N + 1, STATES + memory) states, `first` included.
@@ -108,9 +104,9 @@ def simulate_reference(
     orders = [Command(*order.unbind(-1)) for order in commands.unbind(1)]
     moment = _first_moment(first, memory_size(tuple(effects)))
     path = [torch.stack([*moment.state, *moment.memory], dim=-1)]
-    for k in range(len(orders) - history):
-        command = arriving(orders, history + k, late, h)
-        moment = step(TORCH, model, moment, command, t + k * h, h, INTEGRATORS[integrator])
+    for k in range(len(orders)):
+        command = arriving(orders, k, late, h)
+        moment = step(TORCH, model, moment, command, k * h, h, INTEGRATORS[integrator])
         path.append(torch.stack([*moment.state, *moment.memory], dim=-1))
     return torch.stack(path, dim=1)
 

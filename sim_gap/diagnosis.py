@@ -62,8 +62,7 @@ class Case:
     asked: GapOptions = field(default_factory=GapOptions)
     # Opens the drives that are held out, after the prediction is written; None if there are none
     later: Callable[[], Sequence[Run]] | None = None
-    # Drives of the base car without the gap; they refine it (see `car_posterior.refine`)
-    healthy: Sequence[Run] = ()
+    healthy: Sequence[Run] = ()  # drives of the base car without the gap; they `refine` it
     horizons: bool = True  # whether the gap is looked at over other horizons too
     sessions: tuple[str, ...] = ()  # names of the files
     base_source: str = ""  # where the base comes from, as text
@@ -90,15 +89,13 @@ class Diagnosis:
     # (effects, probability, gain over the base alone [nats]) of each hypothesis
     candidates: tuple[tuple[str, float, float], ...]
     shrinkage: Shrinkage  # predicted and, with reserved drives, measured
-    # What to drive to distinguish ambiguous causes, if there are any
-    next_manoeuvre: Manoeuvre | None
+    next_manoeuvre: Manoeuvre | None  # to distinguish ambiguous causes, if there are any
     shape: Shape  # what is left
     moved: dict[str, float]  # z-scores of base parameters that moved, the largest first
     noise: Noise  # what was taken as random; `noise_known` if not from these drives
     noise_known: bool
     notes: tuple[str, ...]  # what a reader should know about how this was done
-    # All effects' parameters of the explanation, by effect, for a car file
-    values: dict[str, tuple[float, ...]]
+    values: dict[str, tuple[float, ...]]  # parameters of the explanation by effect, for a car file
     timeline: Timeline  # the gap window by window
     horizons: tuple[Horizon, ...] = ()  # the gap over other horizons
     lane: LaneComparison | None = None  # a session's lane, driven again in simulation

@@ -45,8 +45,7 @@ class LaneComparison:
 
     recorded: LaneDrive  # as driven
     without: LaneDrive | None  # simulated with the base car; a stopped simulation is None
-    # Simulated with the found effect; None if none was found or it was stopped
-    with_effect: LaneDrive | None
+    with_effect: LaneDrive | None  # simulated with the found effect; None without, or stopped
     session: str  # which drive
     again: str = ""  # options of `steerd run` that drive this lane
     remarks: tuple[str, ...] = ()  # what a reader should know, in words

@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.sim_gap.online.tracking import Reference, Seen
-from steerd.sysid.data.data_checks import Array
+from steerd.sysid.data.data_checks import Array, Indices
 
 SPANS: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16)  # numbers of windows that a change may be old
 USUAL_PRIOR, USUAL_LEVEL = 6.0, 2.5
@@ -83,7 +82,7 @@ def _without_base(reference: Reference, seen: Sequence[Seen]) -> tuple[Array, Ar
     return pull[n:] - cross.T @ solved[:, -1], information[n:, n:] - cross.T @ solved[:, :-1]
 
 
-def _gain(reference: Reference, pull: Array, information: Array, mine: NDArray[np.int64]) -> float:
+def _gain(reference: Reference, pull: Array, information: Array, mine: Indices) -> float:
     """What one effect gains at its most likely value [nats]."""
     spread = reference.space.spread[reference.space.nuisance :][mine]
     precision = information[np.ix_(mine, mine)] + np.diag(spread**-2)

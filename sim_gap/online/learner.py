@@ -42,8 +42,7 @@ class Learner:
     augmented: AugmentedCar  # the car file's base, with every effect of the library
     noise: Noise | None = None  # as the car file knows it
     ramp: float = 0.0  # limit of the motor controller's setpoint [m/s^2], 0 for none
-    # What was learnt on an earlier drive of this car
-    remembered: Remembered = field(default_factory=dict)
+    remembered: Remembered = field(default_factory=dict)  # of an earlier drive of this car
 
 
 def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) -> Learner:
@@ -89,8 +88,7 @@ class State:
 
     recent: samples.Recent = field(default_factory=samples.Recent)  # samples of the last seconds
     start: float = -np.inf  # when the next window begins [s]
-    # Drives that the car is learnt from, with their times
-    windows: tuple[tuple[float, Run], ...] = ()
+    windows: tuple[tuple[float, Run], ...] = ()  # that the car is learnt from, with their times
     known: Known | None = None  # the car as learnt; None before
     change: Change | None = None  # what is being looked into; None while nothing is the matter
     past: tuple[Change, ...] = ()  # changes that the car was learnt anew after, oldest first

@@ -11,8 +11,7 @@ from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import HISTORY, SERVO_FRAME, Run, Signal, make_run
 from steerd.sysid.data.segments import SPEED_MIN
 
-WINDOW = 0.5
-"""Length of a window [s]: some ten of the car's time constants, and a change shows soon."""
+WINDOW = 0.5  # length of a window [s]: ten of the car's time constants, and a change shows soon
 LEAD = HISTORY + 0.1  # commands known before a window [s]; on the grid some of it is lost
 PAST = 2.0  # commands before a window that are kept, for what a linkage with play remembers [s]
 LATE = 0.06  # a window is closed when a pose this much younger has come: telemetry may lag [s]

@@ -31,8 +31,7 @@ from steerd.sysid.inference.residuals import settled
 from steerd.sysid.inference.search import stand
 from steerd.sysid.inference.space import Space, informative_effects, make_space
 
-MEMORY = 240.0
-"""Windows after which information has faded to 1/e, where others bring the same: two minutes."""
+MEMORY = 240.0  # windows until information has faded to 1/e, where others bring the same: 2 min
 INFORMED = 0.05  # a window informs a direction from this share of its most informed one
 DISCREPANCY = 16.0
 """Variances are this much larger than a likelihood says: what a model misses is alike from lap to

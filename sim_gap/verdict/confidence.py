@@ -41,10 +41,8 @@ class Verdict:
     """What the hypotheses say together."""
 
     name: str  # `none`, `explained`, `partial`, `unexplained` or `unjudged`
-    # Named effects, first the one without which the odds fall most
-    causes: tuple[Cause, ...]
-    # Posterior probability that no effect of the library is a cause of the gap
-    something_else: float
+    causes: tuple[Cause, ...]  # named effects, first the one without which the odds fall most
+    something_else: float  # posterior probability that no effect of the library is a cause
     left: float  # share of the gap's size that stays
     strain: float  # how far the base moved beside the causes, see `base_strain`
     at_bound: tuple[str, ...]  # named effects with a value at a bound

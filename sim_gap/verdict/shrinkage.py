@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.sim_gap.verdict.where import Fits
-from steerd.sysid.data.data_checks import Array
+from steerd.sysid.data.data_checks import Array, Indices
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference import residuals
@@ -73,9 +72,7 @@ class _Shares(NamedTuple):
     identifiable: bool
 
 
-def _shares(
-    before: Array, after: Array, best: Array, floor: float, blocks: NDArray[np.int64]
-) -> _Shares:
+def _shares(before: Array, after: Array, best: Array, floor: float, blocks: Indices) -> _Shares:
     """The share that is gone, of windows' whitened errors before, after and at best."""
     drawn = [interval_of(values, blocks) for values in (before, after, best)]
     level, margin = noise_level(robust_mean(best), drawn[2], floor, len(np.unique(blocks)))

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from itertools import groupby, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from steerd.sysid.data.data_checks import Array
+from steerd.sysid.data.data_checks import Array, Indices
 from steerd.sysid.inference import residuals
 from steerd.sysid.inference.disturbance_response import INPUTS, responses
 from steerd.sysid.inference.likelihood import Likelihood
@@ -59,7 +58,7 @@ class Fits:
         return self.likelihood.predictor
 
     @property
-    def blocks(self) -> NDArray[np.int64]:
+    def blocks(self) -> Indices:
         """(W,) windows that follow each other."""
         return residuals.blocks_of(self.predictor)
 
@@ -233,7 +232,7 @@ def sentence_of(equation: Sequence[Share], found: Sequence[Regime], moments: str
     )
 
 
-def find_moments(ratios: Array) -> NDArray[np.int64]:
+def find_moments(ratios: Array) -> Indices:
     """Windows, the worst first, that hold most of the excess though they are few; else none.
 
     A place passed once, a bump, a second in which the car spun: held-out drives cannot confirm what
@@ -242,7 +241,7 @@ def find_moments(ratios: Array) -> NDArray[np.int64]:
     """
     excess = np.clip(ratios - 1.0, 0.0, _HUGE)
     order = np.argsort(-excess, kind="stable")
-    worst: NDArray[np.int64] = order[excess[order] > _LIKE * excess.max(initial=0.0)]
+    worst: Indices = order[excess[order] > _LIKE * excess.max(initial=0.0)]
     hold = float(excess[worst].sum()) >= MOST * float(excess.sum())
     return worst[: len(worst) if hold and len(worst) <= FEW * len(ratios) else 0]
 

@@ -4,6 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 DURATION_MIN = 1.0  # a drive is at least this long [s]
 POSES_MIN = 20

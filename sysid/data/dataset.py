@@ -22,12 +22,9 @@ from steerd.sysid.data.data_checks import Array, DataError, check_run, check_tim
 from steerd.vesc_link.scaling import F1TENTH
 
 GRID = 0.005
-"""Step of the command grid [s], one tick of the control loop; `stability` refines it where needed.
-
-Twice as long is enough for smooth drives (RK4 is good to 1e-3 mm), but blurs dead times by 0.2 ms.
-"""
-SERVO_FRAME = 0.02
-"""Period of a VESC's servo signal [s]; steerd itself drives servos through nothing else."""
+"""Step of the command grid [s], a tick of the control loop; `stable_substeps` refines it. Twice as
+long is enough for smooth drives (RK4 is good to 1e-3 mm), but blurs dead times by 0.2 ms."""
+SERVO_FRAME = 0.02  # period of a VESC's servo signal [s]; steerd drives servos through nothing else
 RAMP_ERPM = 25_000.0
 """A VESC's own limit of its speed setpoint's slope [ERPM/s] (`s_pid_ramp_erpms_s`, since 5.03)."""
 POSE_SPEED_NOISE_MAX = 0.02
@@ -37,8 +34,7 @@ PAUSE, PAUSE_STEPS = 0.3, 5.0
 """Poses that stay away so long [s], and so many times longer than they usually do, are a pause of
 the log: no window reaches across one, where everything would hang on the start."""
 HALF_SPAN = 2  # samples to either side over which rates of a pose are differences, at least ...
-SPEED_BLUR = 0.15
-"""... and more where the poses' noise would blur a speed by more than this [m/s]."""
+SPEED_BLUR = 0.15  # ... and more where the poses' noise would blur a speed by more than this [m/s]
 
 
 class LogJitter(NamedTuple):
@@ -100,26 +96,17 @@ class Run:
     # `command`; or `wheel` or `pose` where there is no speed command and the measured speed is
     # prescribed instead (see `augmented_car.prescribe_speed`)
     speed_source: str = "command"
-    # Speed as reported with the nominal gain [m/s]; may be empty
-    wheel: Signal = NOTHING
+    wheel: Signal = NOTHING  # speed as reported with the nominal gain [m/s]; may be empty
     yaw_rate: Signal = NOTHING  # gyro [rad/s]; may be empty
-    # The commanded angles at their own times; may be empty
-    steer: Signal = NOTHING
-    # Period of the pulses that carry them to the servo [s]; 0 where none are known to do so
-    # (see `command_timing`)
-    servo_frame: float = 0.0
-    # The commanded speeds at their own times; may be empty
-    speed_command: Signal = NOTHING
-    # How fast the motor controller's setpoint may follow them [m/s^2]; 0 where it is not known
-    # to be limited (see `command_timing`)
-    speed_ramp: float = 0.0
-    # Where in its drive this segment begins [s]; drifts count from the drive's start
-    start: float = 0.0
+    steer: Signal = NOTHING  # the commanded angles at their own times; may be empty
+    servo_frame: float = 0.0  # period of the pulses that carry them [s]; 0: none (`command_timing`)
+    speed_command: Signal = NOTHING  # the commanded speeds at their own times; may be empty
+    speed_ramp: float = 0.0  # limit of the slope of what follows them [m/s^2]; 0: none is known
+    start: float = 0.0  # where in its drive it begins [s]; drifts count from the drive's start
     # How much of the commands before a window is simulated [s]: a linkage with play keeps the
     # side of the last turn
     history: float = HISTORY
-    # Sampling jitter of the steering log, corrected in `commands` and `steer`
-    log_jitter: LogJitter | None = None
+    log_jitter: LogJitter | None = None  # of the steering log; `commands` and `steer` are corrected
     pulse: Pulse | None = None  # of the servo, where `commands` are those that it took over
     ramp: Ramp | None = None  # of the motor controller, where it was asked whether it has one
 
@@ -215,11 +202,6 @@ def pose_rates(pose: Signal) -> Rates:
     return Rates(t, speed, slope[:, 2])
 
 
-def pose_speed(pose: Signal) -> Signal:
-    """Forward speed from poses [m/s]."""
-    return Signal(*pose_rates(pose)[:2])
-
-
 def _clean(signal: Signal | None) -> Signal:
     if signal is None or not len(signal.t):
         return NOTHING
@@ -291,7 +273,9 @@ def _measured_speed(rolled: Signal, pose: Signal) -> tuple[str, Signal]:
     blur = max(noise_of(pose.t, pose.values[:, i]) for i in (0, 1))
     span = 4.0 * float(np.median(np.diff(pose.t))) if len(pose.t) > 1 else 0.0
     sharp = 0.0 < 2.0**0.5 * blur < POSE_SPEED_NOISE_MAX * span
-    return ("pose", pose_speed(pose)) if sharp or not len(rolled.t) else ("wheel", rolled)
+    if len(rolled.t) and not sharp:
+        return "wheel", rolled
+    return "pose", Signal(*pose_rates(pose)[:2])
 
 
 _SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL)

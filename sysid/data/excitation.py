@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steerd.sysid.data.dataset import Run, pose_rates, pose_speed
+from steerd.sysid.data.dataset import Run, pose_rates
 
 TURNING = 0.03  # steering beyond this is a turn [rad]
 SPEED_SPAN, STEER_RATE, ONE_SIDE, LATERAL = 0.4, 0.2, 0.05, 1.0
@@ -62,7 +62,7 @@ def speed_tracking_share(runs: Sequence[Run]) -> float:
     near = [np.empty(0, bool)]
     for run in runs:
         if run.speed_source == "command":
-            t, speed = pose_speed(run.pose)
+            t, speed, _ = pose_rates(run.pose)
             commanded = run.commands[np.clip((t / run.h).astype(int), 0, len(run.commands) - 1), 1]
             near.append(
                 np.abs(speed - commanded) <= TRACKING_ERROR + TRACKING_SHARE * np.abs(commanded)

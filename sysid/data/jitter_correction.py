@@ -11,10 +11,9 @@ from dataclasses import replace
 from itertools import accumulate
 
 import numpy as np
-from numpy.typing import NDArray
 
-from steerd.sysid.data.data_checks import Array
-from steerd.sysid.data.dataset import LogJitter, Run, Signal, hold_means, pose_speed
+from steerd.sysid.data.data_checks import Array, Mask
+from steerd.sysid.data.dataset import LogJitter, Run, Signal, hold_means, pose_rates
 
 PERIOD_LOW, PERIOD_HIGH = 0.04, 0.5
 """Jitter of faster logs is negligible; slower logs are not steering commands [s]."""
@@ -102,11 +101,11 @@ def _response(run: Run, t: Array, delay: float) -> Array:
     return np.array([*accumulate(held, lambda angle, aim: aim + kept * (angle - aim))])
 
 
-def _curvature(run: Run) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _curvature(run: Run) -> tuple[Array, Array, Mask]:
     """Grid times, curvature of the path [1/m], and whether the car moves and poses are near."""
     grid: Array = (np.arange(len(run.commands)).astype(float) + 0.5) * run.h
     t, pose = run.pose
-    times, speed = pose_speed(run.pose)
+    times, speed, _ = pose_rates(run.pose)
     if not len(times):
         return grid, np.zeros_like(grid), np.zeros(len(grid), bool)
     yaw = np.interp(np.stack([grid - _HALF_SPAN, grid + _HALF_SPAN]), t, pose[:, 2])

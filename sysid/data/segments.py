@@ -10,13 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import floor
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.sysid.data.data_checks import DataError
-from steerd.sysid.data.dataset import HISTORY, Run, Signal, least_pause, pose_speed
+from steerd.sysid.data.dataset import HISTORY, Run, Signal, least_pause, pose_rates
 
 SPEED_MIN = 0.4  # speed of a segment, at least [m/s] ...
 SPEED_ROLLS = SPEED_KINEMATIC
@@ -29,7 +29,6 @@ BLOCK = 5.4  # length of the blocks of which every k-th is held out [s]
 PIECE = 30.0  # length of the pieces that stand for a long drive [s]
 _ROUNDED = 1.0 + 1e-9
 SIGNALS = ("pose", "wheel", "yaw_rate", "steer", "speed_command")  # of a drive, with times
-T = TypeVar("T")
 
 
 def make_segment(run: Run, low: float, high: float) -> Run:
@@ -113,7 +112,7 @@ def smooth_speed(run: Run) -> Run:
 
 def _spans(run: Run) -> list[tuple[float, float]]:
     """Stretches in which command and pose both say that the car goes forward [s]."""
-    t, speed = pose_speed(run.pose)
+    t, speed, _ = pose_rates(run.pose)
     grid = run.h * np.arange(len(run.commands))
     slow = np.convolve(np.interp(grid, t, speed), np.ones(11) / 11.0, "same")
     least = SPEED_MIN if run.speed_source == "command" else SPEED_ROLLS
@@ -191,7 +190,7 @@ def make_blocks(
     return tuple(found)
 
 
-def split_every(parts: Sequence[T], every: int) -> tuple[tuple[T, ...], tuple[T, ...]]:
+def split_every(parts: Sequence[Run], every: int) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
     """All but every k-th part, and those."""
     held_out = tuple(parts[every - 1 :: every])
     return tuple(part for i, part in enumerate(parts) if i % every != every - 1), held_out

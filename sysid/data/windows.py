@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.native.windows import Stations, Windows
-from steerd.sysid.data.data_checks import Array, noise_of
+from steerd.sysid.data.data_checks import Array, Indices, Mask, noise_of
 from steerd.sysid.data.dataset import HISTORY, Run, Signal
-
-Indices = NDArray[np.int64]
 
 GROUPS: tuple[str, ...] = ("position", "yaw", "wheel_speed", "yaw_rate")
 """Measurements that share a noise level: [m], [rad], [m/s], [rad/s]."""
@@ -21,18 +19,15 @@ FLOORS = np.array([1e-5, 1e-5, 1e-4, 1e-4])
 POSES_MIN = 4  # a window with fewer poses is left out (its initial state would not be identifiable)
 SPACING = 0.05  # time between readings where they are thinned [s]
 _WINDOWS_MIN = 4
-_GUESS_SPAN = 0.12
-"""Poses within this time of a window's start give the first guess of its state [s]."""
+_GUESS_SPAN = 0.12  # poses within this time of a window's start give the first guess of it [s]
 _CHANNELS = np.array([0, 3, 4])  # first channel of each kind of reading
-_FORGOTTEN = 0.2
-"""Commands that move by so much leave no play as it was; none is wider than 0.15 rad [rad]."""
+_FORGOTTEN = 0.2  # commands that move so far leave no play as it was; none is wider than 0.15 [rad]
 
 
 class Seen(NamedTuple):
     """Readings at stations, sorted by window: a pose has three rows, the others one."""
 
-    # Which window; t: time since its start [s]; kind: 0 pose, 1 wheel speed, 2 yaw rate
-    window: Indices
+    window: Indices  # which; t: time since its start [s]; kind: 0 pose, 1 wheel speed, 2 yaw rate
     t: Array
     kind: Indices
     row: Indices  # first row of the reading
@@ -58,23 +53,20 @@ class Layout:
         return len(self.spans)
 
     @cached_property
-    def _rows(self) -> tuple[Array, Indices]:
-        t, channel = np.empty(len(self.values)), np.empty(len(self.values), np.int64)
-        for number in range(3):
-            mine = (self.seen.kind == 0) | (number == 0)
-            at = self.seen.row[mine] + number
-            t[at], channel[at] = self.seen.t[mine], _CHANNELS[self.seen.kind[mine]] + number
-        return t, channel
+    def reading(self) -> Indices:
+        """(R,) of which reading each row is."""
+        return np.repeat(np.arange(len(self.seen.row)), _width(self.seen.kind))
 
-    @property
+    @cached_property
     def row_t(self) -> Array:
         """(R,) time of each row since its window's start [s]."""
-        return self._rows[0]
+        return np.asarray(self.seen.t[self.reading])
 
-    @property
+    @cached_property
     def channel(self) -> Indices:
         """(R,) 0 x, 1 y, 2 yaw, 3 wheel speed, 4 yaw rate."""
-        return self._rows[1]
+        first = _CHANNELS[self.seen.kind] - self.seen.row
+        return np.asarray(first[self.reading] + np.arange(len(self.values)))
 
     @property
     def window(self) -> Indices:
@@ -97,7 +89,7 @@ class Layout:
         return np.maximum(self.channel - 1, 0)
 
     @property
-    def has_past(self) -> NDArray[np.bool_]:
+    def has_past(self) -> Mask:
         """(W,) whether the commands before the window are known."""
         past = self.spans[:, 2] - self.spans[:, 0]
         return np.asarray(past >= round(HISTORY / self.h) // 2)
@@ -257,7 +249,7 @@ def thinned(layout: Layout, spacing: float = SPACING) -> Layout:
     return take_readings(layout, kept)
 
 
-def take_readings(layout: Layout, kept: NDArray[np.bool_] | Indices) -> Layout:
+def take_readings(layout: Layout, kept: Mask | Indices) -> Layout:
     """The layout with some of its readings (mask or places in `seen`, sorted by window)."""
     window, kind = layout.seen.window[kept], layout.seen.kind[kept]
     width = _width(kind)
@@ -268,7 +260,7 @@ def take_readings(layout: Layout, kept: NDArray[np.bool_] | Indices) -> Layout:
     return replace(layout, seen=seen, values=layout.values[rows], bounds=bounds)
 
 
-def take_windows(layout: Layout, chosen: NDArray[np.bool_]) -> Layout:
+def take_windows(layout: Layout, chosen: Mask) -> Layout:
     """The layout of some of its windows (mask (W,))."""
     cut = take_readings(layout, chosen[layout.seen.window])
     window = (np.cumsum(chosen) - 1)[cut.seen.window]

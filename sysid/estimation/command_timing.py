@@ -17,9 +17,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from steerd.sysid.data.data_checks import Array
+from steerd.sysid.data.data_checks import Array, Mask
 from steerd.sysid.data.dataset import Pulse, Ramp, Run, Signal, hold_means
 from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.inference.likelihood import Likelihood
@@ -117,7 +116,7 @@ def _find_phase(run: Run, rough: PlainCar, asked: Asked) -> Pulse:
     return Pulse(run.name, phase, sure, float(step * possible / np.sqrt(12.0)))
 
 
-def _middle(cost: Array) -> tuple[float, NDArray[np.bool_]]:
+def _middle(cost: Array) -> tuple[float, Mask]:
     """Middle of the stretch of phases (they form a ring) about the best that are as good."""
     count, best = len(cost), int(np.argmin(cost))
     good = cost <= cost[best] + SURE

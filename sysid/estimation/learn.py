@@ -29,8 +29,7 @@ TIMES: dict[str, float] = {
 """Doubts about times [s] that drives cannot remove: a command's stamp says when it left, not when
 the motor controller took it over with its next tick, some 1 ms later; clocks of mocap and computer
 agree to 0.1 ms; within a step of the grid the servo's motion is not known."""
-OBEYED = 0.5
-"""A car that obeys its speed command for less of the time is better taken at its measured speed."""
+OBEYED = 0.5  # a car that obeys its command less of the time is taken at its measured speed
 REGIME = 1.0  # errors are split by lateral acceleration so far ahead [s]
 
 

@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.model import Model
 from steerd.car_model.native.trace import parameter_names
 from steerd.car_model.native.windows import parameter_vector
 from steerd.car_model.params import PARAMETERS, Car
-from steerd.sysid.data.data_checks import Array
+from steerd.sysid.data.data_checks import Array, Indices
 from steerd.sysid.data.dataset import LogJitter, Pulse, Ramp, Run
 from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.data.windows import estimate_noise
@@ -44,7 +43,7 @@ class Residuals(NamedTuple):
     """Measurements minus predictions of all windows."""
 
     t: Array  # (R,) time into the drive [s]
-    group: NDArray[np.int64]  # (R,) which kind, see `windows.GROUPS`
+    group: Indices  # (R,) which kind, see `windows.GROUPS`
     error: Array  # (R,) in units
     signal: Array  # (4,) noise of the signals themselves
 
@@ -54,17 +53,14 @@ class Fit:
     """An identified car."""
 
     model: Model[float]  # the car with its effects at the estimates
-    # Every free parameter with standard error and whether the data identify it
-    estimates: dict[str, Estimate]
+    estimates: dict[str, Estimate]  # every free parameter, its error, whether it is identified
     labels: tuple[str, ...]  # of the coordinates; correlation: (n, n) of them
     correlation: Array
     converged: bool  # whether the search came to its end
-    # Residual over signal noise by group: 1 says that the model explains everything
-    misfit: dict[str, float]
+    misfit: dict[str, float]  # residual over signal noise by group: 1 where all is explained
     residuals: Residuals  # of the windows
     horizon: float  # length of the windows [s]
-    # Sums that the data fix even where they leave their members open
-    combinations: tuple[Combination, ...] = ()
+    combinations: tuple[Combination, ...] = ()  # sums that are known where members are open
     selected: tuple[Step, ...] = ()  # effects that the drives show, those that every car has aside
     # Tables for the car file beside its numbers, where they were learnt with it
     sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

@@ -187,14 +187,11 @@ GENTLE = 2.0  # lateral acceleration below which tyres barely slip [m/s^2]
 SPEED_MIN = 0.3  # slower, the curvature of noisy poses says nothing [m/s]
 DELAYS: Array = np.arange(0.0, 0.41, 0.02)  # delays from command to curvature that are tried [s]
 FEW = 50  # poses that must be left
-WIDEST = 0.7
-"""No car's wheel turns further; commands that go beyond it have a unit of their own [rad] ..."""
-LOCK = 0.4
-"""... and at their largest turn the wheel to an ordinary car's lock [rad]."""
+WIDEST = 0.7  # no wheel turns further; commands beyond it have a unit of their own [rad] ...
+LOCK = 0.4  # ... and at their largest turn the wheel to an ordinary car's lock [rad]
 NEAR = 0.1  # a start whose curvature per command is right to this share is as good as another
 _HELD = 0.3  # weight of a bias of zero: what steady commands explain is not what wheels are off by
-_LARGE = 0.3
-"""Curvatures that are off by more than this share of the sharpest bend's count for less."""
+_LARGE = 0.3  # curvatures that are off by more than this share of the sharpest count for less
 _STEPS = 10
 _REARWARD = 0.7  # one candidate's centre of gravity lies closer to the rear axle by this factor
 _LATER, _QUICKER = 0.02, 0.6

@@ -13,7 +13,7 @@ import numpy as np
 from steerd.car_model.model import Model
 from steerd.car_model.native import windows as compiled
 from steerd.sysid.data.data_checks import Array
-from steerd.sysid.data.dataset import Run, check_sources
+from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import Layout, estimate_noise, make_layout, make_stations
 from steerd.sysid.inference.augmented_car import prescribe_speed
 from steerd.sysid.inference.predictor import STATE_SPREAD, stable_substeps
@@ -52,10 +52,8 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
     """Predict windows of drives, each over a horizon [s]; without speed commands at measured speed.
 
     Raises:
-        DataError: only some have speed commands.
         ValueError: no window sees enough poses.
     """
-    check_sources(runs)
     model = prescribe_speed(model, runs)
     kernels = compiled.make_kernels(model.effects, model.chassis)
     parameters = compiled.parameter_vector(model)
@@ -136,8 +134,7 @@ def errors_at(traces: Sequence[Trace], horizons: Sequence[float]) -> tuple[Predi
 class Regime(NamedTuple):
     """Prediction error where the car was driven within some range of lateral acceleration."""
 
-    # Of the greatest lateral acceleration on the way [m/s^2]
-    lateral_accel_low: float
+    lateral_accel_low: float  # of the greatest lateral acceleration on the way [m/s^2]
     lateral_accel_high: float
     predictions: int  # how many
     median: float  # of the position error at the horizon [m]; rms: as well

@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import Effect
@@ -25,14 +24,12 @@ from steerd.car_model.model import Model, believed_car
 from steerd.car_model.native.windows import Kernels, make_kernels, model_of, parameter_vector
 from steerd.car_model.params import Car
 from steerd.car_model.planar import make_planar
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.chart import places_of
 
-Array = NDArray[np.float64]
-
-NO_SLIP = 1e6
-"""Slip stiffness of wheels that turn as fast as the ground passes, to a tenth of a millimetre."""
+NO_SLIP = 1e6  # slip stiffness of wheels as fast as the ground that passes, to 0.1 mm
 
 
 class Control(NamedTuple):
@@ -42,8 +39,7 @@ class Control(NamedTuple):
     """
 
     effect: str  # its name
-    # (k,) of its parameters, where they explain healthy drives best; `covariance` (k, k)
-    values: Array
+    values: Array  # (k,) of its parameters that explain healthy drives best; `covariance` (k, k)
     covariance: Array
     gain: float  # what that gains there per window, chance included [nats]
 
@@ -52,11 +48,9 @@ class Control(NamedTuple):
 class BasePrior:
     """What is known of a base."""
 
-    # Of the base's free parameters, in the order of the coordinates (see `chart`)
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the base's free parameters, in the coordinates' order (see `chart`)
     covariance: Array  # (n, n) of the coordinates
-    # The parameters' values that the covariance lies about, empty: the base's own
-    values: tuple[float, ...] = ()
+    values: tuple[float, ...] = ()  # that the covariance lies about; empty: the base's own
     controls: tuple[Control, ...] = ()  # what the healthy drives show of effects
     size: float = 0.0  # of the discrepancy that the healthy drives leave
     # Coordinates of limits, by name, below which the healthy drives rule them out
@@ -168,10 +162,8 @@ class AugmentedCar:
     kernels: Kernels  # the compiled car
     base: Array  # (P,) parameters of the base; an effect that the base has keeps its values
     sd: dict[str, float]  # standard errors of the base by parameter name, as far as they are known
-    # The joint covariance that healthy drives gave it, if they did
-    knowledge: BasePrior | None = None
-    # Measured distance of the axles [m]: of `lf` and `lr`, one follows from the other
-    wheelbase: float | None = None
+    knowledge: BasePrior | None = None  # the covariance that healthy drives gave it, if they did
+    wheelbase: float | None = None  # measured [m]: of `lf` and `lr`, one follows from the other
 
     @property
     def effects(self) -> tuple[Effect, ...]:

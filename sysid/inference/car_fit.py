@@ -15,10 +15,10 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.model import Model
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import thinned
 from steerd.sysid.data.windows import estimate_noise
@@ -45,30 +45,22 @@ from steerd.sysid.inference.space import (
     weak_knowledge,
 )
 
-Array = NDArray[np.float64]
-
 ORDINARY: dict[str, float] = {
     "lf": 0.075, "lr": 0.1, "steer_gain": 0.33, "inertia_z": 0.4, "c_sf": 0.7, "c_sr": 0.7,
     "marker_offset.forward": 0.25, "accel_max": 0.2, "decel_max": 0.2,
     "lateral_load_transfer.k": 0.3,
 }  # fmt: skip
-"""Share of identification's weak priors that is left when a base is fitted.
-
-A car comes with a wheelbase (the coordinate of `lf`) known to 15 mm, a centre of gravity known
-to 2 cm, markers placed to 5 mm and a gain known to 0.1. A tyre's friction falls by a few tenths at
-most where its load doubles, which makes `k` 0.15 on a car as low as these; a larger one stands in
-for tyres that slide, and says too much of bends harder than the drives'.
-"""
-MEASURED = 5e-4
-"""The wheelbase's share where it was measured: it stays within 0.1 mm of what was stated."""
-_LOUDER, _LOUDEST = 3.0, 80.0
-"""Noise grows by this factor, and to so many times the usual at most, until ..."""
-_FAR_OFF = 0.2
-"""... a smaller share of the windows is bounded at the start."""
+"""Share of identification's weak priors that is left when a base is fitted. A car comes with a
+wheelbase (the coordinate of `lf`) known to 15 mm, a centre of gravity known to 2 cm, markers placed
+to 5 mm and a gain known to 0.1. A tyre's friction falls by a few tenths at most where its load
+doubles, which makes `k` 0.15 on a car as low as these; a larger one stands in for tyres that slide,
+and says too much of bends harder than the drives'."""
+MEASURED = 5e-4  # share of a measured wheelbase: it stays within 0.1 mm of what was stated
+_LOUDER, _LOUDEST = 3.0, 80.0  # noise grows by this factor, to so many times the usual, until ...
+_FAR_OFF = 0.2  # ... a smaller share of the windows is bounded at the start
 _STIFFER, _ENOUGH = 3.0, 30.0
 """Stiffness of a further start, and driving that is enough to choose between them [s]."""
-_ROUNDS = 2
-"""How often noise and base are learnt in turn."""
+_ROUNDS = 2  # how often noise and base are learnt in turn
 
 
 class Step(NamedTuple):
@@ -101,8 +93,7 @@ class FittedCar:
     noise: Noise  # how large what is random is
     nuisance: tuple[str, ...]  # names of the car's free parameters
     shares: Mapping[str, float]  # of identification's weak priors, by parameter (see `ORDINARY`)
-    # Effects beyond those of every car that the drives show, the surest first
-    selected: tuple[Step, ...] = ()
+    selected: tuple[Step, ...] = ()  # effects beyond every car's, the surest first
 
     @property
     def augmented(self) -> AugmentedCar:

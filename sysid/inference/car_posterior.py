@@ -15,11 +15,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import Effect
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import BasePrior, Control, inflate_each, knowledge_section
@@ -31,8 +31,6 @@ from steerd.sysid.inference.posterior import between_halves, design_effect, post
 from steerd.sysid.inference.residuals import blocks_of
 from steerd.sysid.inference.search import Point, minimise
 from steerd.sysid.inference.space import LIMITS
-
-Array = NDArray[np.float64]
 
 MODEL_ERROR: dict[str, float] = {
     "c_sf": 4.0, "c_sr": 2.3, "c_x": 2.0, "inertia_z": 4.5, "steer_gain": 2.0, "speed_gain": 2.5,
@@ -52,8 +50,7 @@ MOVED, FORWARD = "marker_offset", "marker_offset.forward"
 """The effect of a mocap body that is elsewhere on the car, and how far ahead that is."""
 _NAMED = 3
 _HALVINGS = 6
-_BY_CHANCE = 1.0
-"""What an effect of two parameters gains by chance [nats]."""
+_BY_CHANCE = 1.0  # what an effect of two parameters gains by chance [nats]
 
 
 def describe_lost(fitted: FittedCar, runs: Sequence[Run]) -> tuple[str, ...]:
@@ -262,7 +259,7 @@ def learn_controls(fitted: FittedCar, known: BasePrior) -> tuple[Control, ...]:
     scanned = replace(library, effects=tuple(e for e in augmented.effects if e.zero_gradient))
     found = [_scanned(library, look, temper) for look in screen_effects(scanned, base)]
     linear = (_control(library, base, effect, temper) for effect in augmented.effects)
-    return (*found, *(control for control in linear if control is not None))
+    return (*found, *filter(None, linear))
 
 
 def _scanned(library: Library, look: Candidate, temper: float) -> Control:

@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
 from steerd.car_model.native.trace import parameter_names
 from steerd.car_model.params import DEFAULT_CAR, PARAMETERS
 from steerd.car_model.params import wheelbase as length_of
-
-Array = NDArray[np.float64]
+from steerd.sysid.data.data_checks import Array, Mask
 
 INVERSE = frozenset({"c_sf", "c_sr", "c_x"})
 LOGARITHM = frozenset({"mu", "mass", "speed_gain", "steer_rate"})
@@ -38,10 +36,8 @@ LENGTHS = frozenset(
     {"lf", "lr", "cog_height", "marker_offset.forward", "marker_offset.left", "cog_offset.offset"}
 )
 """What is as uncertain as the car is long: the spreads are those of a car of the default's size."""
-SPREAD_RELATIVE = 1.0
-"""Prior standard deviation of compliances, logarithms and inertia, relative."""
-SPREAD_GAIN = 0.3
-"""The same for the two gains, relative."""
+SPREAD_RELATIVE = 1.0  # prior standard deviation of compliances, logarithms and inertia, relative
+SPREAD_GAIN = 0.3  # the same for the two gains, relative
 WHEELBASE = "wheelbase"
 
 
@@ -52,8 +48,7 @@ class Chart:
     names: tuple[str, ...]  # of all parameters
     prior: Array  # (P,) parameters about which the weak priors lie; the fixed ones stay there
     free: tuple[str, ...]  # names of the free ones
-    # Known distance of the axles [m]: then of lf and lr, one follows from the other
-    wheelbase: float | None
+    wheelbase: float | None  # known [m]: then one of lf and lr follows from the other
     low: Array  # (P,) bounds of the parameters
     high: Array  # (P,)
     spread: Array  # (n,) prior standard deviation of the coordinates
@@ -77,11 +72,11 @@ class Chart:
         return [self.names.index(name) for name in self.free]
 
     @cached_property
-    def _inverse(self) -> NDArray[np.bool_]:
+    def _inverse(self) -> Mask:
         return np.array([name in INVERSE for name in self.free], bool)
 
     @cached_property
-    def _log(self) -> NDArray[np.bool_]:
+    def _log(self) -> Mask:
         return np.array([name in LOGARITHM for name in self.free], bool)
 
     @cached_property

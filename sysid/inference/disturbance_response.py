@@ -6,11 +6,9 @@ actuators aim at (held over the piece). Finite differences of the compiled car.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.car_model.model import observe
@@ -26,45 +24,26 @@ from steerd.car_model.native.windows import (
 )
 from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.state import State
+from steerd.sysid.data.data_checks import Array, Indices
 from steerd.sysid.inference.predictor import Predictor
-
-Array = NDArray[np.float64]
 
 INPUTS: tuple[str, ...] = ("accel", "lateral", "yaw", "steer", "drive")
 """Which equation an input belongs to: speed, side slip, yaw rate; steering and drive actuator."""
-PIECE = 0.1
-"""Length over which an input is constant [s]."""
-_SIZES = (0.2, 0.2, 1.0, 0.005, 0.05)
-"""Of the finite differences: [m/s^2], [m/s^2], [rad/s^2], [rad], [m/s]."""
-_IMPULSES = 3
-"""The first inputs are impulses on the chassis."""
+PIECE = 0.1  # length over which an input is constant [s]
+_SIZES = (0.2, 0.2, 1.0, 0.005, 0.05)  # of differences: [m/s^2], [m/s^2], [rad/s^2], [rad], [m/s]
+_IMPULSES = 3  # the first inputs are impulses on the chassis
 
 
-@dataclass(frozen=True, eq=False)
-class _Nominal:
-    """The trajectory that is pushed: states (W, moments, 7 + memory) at every integration step."""
+class _Nominal(NamedTuple):
+    """The trajectory that is pushed."""
 
-    predictor: Predictor
-    parameters: Array
-    first: Array
-    path: Array
+    predictor: Predictor  # the windows
+    parameters: Array  # (P,) of the car
+    first: Array  # (W, 7 + memory) states at the windows' begin
+    held: HeldCommands  # the commands in steps of the window that needs the shortest
+    steps: int  # of each window
 
-    @property
-    def count(self) -> int:
-        return len(self.first)
-
-    @property
-    def held(self) -> HeldCommands:
-        """The commands in the steps of the window that needs the shortest: all have the same."""
-        return self.predictor.finest.held
-
-    @property
-    def steps(self) -> int:
-        return int(self.path.shape[1]) - 1
-
-    def march(
-        self, first: Array, held: HeldCommands, runs: NDArray[np.int64], t: Array, steps: int
-    ) -> Array:
+    def march(self, first: Array, held: HeldCommands, runs: Indices, t: Array, steps: int) -> Array:
         """States (windows, moments, 7 + memory) at every step from the first ones."""
         blocks, kernels = make_window_blocks(runs, t), self.predictor.augmented.kernels
         path = march(kernels, self.parameters, first, held, blocks, steps)
@@ -82,24 +61,18 @@ class _Nominal:
         with np.errstate(invalid="ignore"):  # a car that spun away reads nothing; it is refused
             state: State[Any] = State(*(a + (at - k)[:, None] * (b - a)).T)
             every = observe(NUMPY, model_of(kernels, self.parameters), state)
-        out = np.empty(len(layout.values))
-        for channel, values in enumerate(every):
-            mine = seen.kind == max(channel - 2, 0)
-            rows = seen.row[mine] + min(channel, 2) * (channel < 3)
-            out[rows] = np.broadcast_to(values, at.shape)[mine]
-        return predictor.pad(out)
+        read = np.stack(np.broadcast_arrays(*every))
+        return predictor.pad(read[layout.channel, layout.reading])
 
 
 def _nominal(predictor: Predictor, parameters: Array, x: Array) -> _Nominal:
     """From starts `x` (W, 7), the steering settled over known commands."""
-    layout, kernels = predictor.layout, predictor.augmented.kernels
+    kernels, (held, windows) = predictor.augmented.kernels, predictor.finest[-2:]
     first = np.zeros((len(x), STATES + kernels.memory))
     first[:, :STATES] = x
-    held, windows = predictor.finest.held, predictor.finest.windows
     first = settle(kernels, parameters, first, held, windows)
-    at, steps = _Nominal(predictor, parameters, first, first), int(layout.spans[:, 3].max())
-    path = at.march(first, held, layout.spans[:, :3], layout.t, steps * held.substeps)
-    return replace(at, path=path)
+    steps = int(predictor.layout.spans[:, 3].max()) * held.substeps
+    return _Nominal(predictor, parameters, first, held, steps)
 
 
 def responses(
@@ -109,13 +82,14 @@ def responses(
 
     Zero in a window whose simulation leaves the map: it is lost, whatever pushes it.
     """
-    at = _nominal(predictor, parameters, x)
+    at, layout = _nominal(predictor, parameters, x), predictor.layout
+    path = at.march(at.first, at.held, layout.spans[:, :3], layout.t, at.steps)
     pieces = max(1, round(at.steps * at.held.fine / PIECE))
-    base = at.shown(at.path)
+    base = at.shown(path)
     out = np.empty((len(inputs), *base.shape, pieces))
     for piece in range(pieces):
         low, high = (k * at.steps // pieces for k in (piece, piece + 1))
-        pushed = _impulses(at, [i for i in inputs if i < _IMPULSES], low, high)
+        pushed = _impulses(at, path, [i for i in inputs if i < _IMPULSES], low, high)
         pushed |= {i: _aimed(at, i, low, high) for i in inputs if i >= _IMPULSES}
         for place, i in enumerate(inputs):
             with np.errstate(invalid="ignore"):  # a window that left the map
@@ -124,13 +98,14 @@ def responses(
     return out
 
 
-def _impulses(at: _Nominal, kinds: Sequence[int], low: int, high: int) -> dict[int, Array]:
+def _impulses(
+    at: _Nominal, path: Array, kinds: Sequence[int], low: int, high: int
+) -> dict[int, Array]:
     """Paths with an impulse of each kind in the middle of a piece."""
-    predictor, middle = at.predictor, (low + high) // 2
-    layout, count, fine = predictor.layout, at.count, at.held.fine
+    layout, count, middle, fine = at.predictor.layout, len(path), (low + high) // 2, at.held.fine
     time = (high - low) * fine
-    first = np.tile(at.path[:, middle], (len(kinds), 1))
-    fast = np.maximum(at.path[:, middle, 3], SPEED_KINEMATIC)
+    first = np.tile(path[:, middle], (len(kinds), 1))
+    fast = np.maximum(path[:, middle, 3], SPEED_KINEMATIC)
     for lane, kind in enumerate(kinds):
         mine = slice(lane * count, (lane + 1) * count)
         column, scale = ((3, 1.0), (5, 1.0 / fast), (4, 1.0))[kind]
@@ -139,13 +114,9 @@ def _impulses(at: _Nominal, kinds: Sequence[int], low: int, high: int) -> dict[i
     runs[:, 2] += middle // at.held.substeps
     t = np.tile(layout.t, len(kinds)) + middle * fine
     moved = at.march(first, at.held, runs, t, at.steps - middle)
-    out = {}
-    for lane, kind in enumerate(kinds):
-        path = at.path.copy()
-        path[:, middle:] = moved[lane * count : (lane + 1) * count]
-        path[:, middle] = at.path[:, middle]
-        out[kind] = path
-    return out
+    each, before = np.split(moved[:, 1:], len(kinds)), path[:, : middle + 1]
+    after = zip(kinds, each, strict=True)
+    return {kind: np.concatenate([before, own], axis=1) for kind, own in after}
 
 
 def _aimed(at: _Nominal, kind: int, low: int, high: int) -> Array:
@@ -158,7 +129,7 @@ def _aimed(at: _Nominal, kind: int, low: int, high: int) -> Array:
     commands = layout.commands[rows]
     commands[:, 1 + low // sub : 1 + high // sub, channel] += _SIZES[kind]
     width = commands.shape[1]
-    start = np.arange(at.count) * width
+    start = np.arange(len(commands)) * width
     runs = np.column_stack([start, start + width, start + late + 1])
     held = at.held._replace(rows=commands.reshape(-1, 2))
     return at.march(at.first, held, runs, layout.t, at.steps)

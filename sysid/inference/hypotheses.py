@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import softmax
 
 from steerd.car_model.effect import Effect, Role
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.library import Library, carry, linearise
 from steerd.sysid.inference.likelihood import Weighed, loss_of
@@ -26,20 +26,14 @@ from steerd.sysid.inference.residuals import excess_of
 from steerd.sysid.inference.search import BEHIND, Point, minimise, newton, open_point, stand
 from steerd.sysid.inference.space import Space
 
-Array = NDArray[np.float64]
-
 _FITTED, _FITTED_FURTHER = 6, 3
 """Hypotheses with a first effect that are brought to their optimum, and with a further one."""
 _LADDER = (-1.5, -0.5, 0.5, 1.5)
 """Values that are tried, in prior scales of the parameter off what the base has."""
-_LOOKS = (1.0, 0.3, 0.1)
-"""Shares of the starting size at which a look compares hypotheses."""
-_ANYHOW = 2
-"""The most promising effects, brought to their optimum even where the first is clearly better."""
-_WORSE = 0.5
-"""Nats by which a hypothesis counts as worse than another ..."""
-_HOPELESS = 1000.0
-"""... and by which nothing that another's base adds makes up for."""
+_LOOKS = (1.0, 0.3, 0.1)  # shares of the starting size at which a look compares hypotheses
+_ANYHOW = 2  # the most promising are optimised even where the first is clearly better
+_WORSE = 0.5  # nats by which a hypothesis counts as worse than another ...
+_HOPELESS = 1000.0  # ... and by which nothing that another's base adds makes up for
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,8 +265,7 @@ class Candidate:
     effect: str  # its name; `values` of its parameters to start from
     values: tuple[float, ...]
     cost: float = np.inf  # expected beside the base one step on [nats]
-    # Below what the start costs so, and with the effect as in healthy drives [nats]
-    gain: float = -np.inf
+    gain: float = -np.inf  # below the start's cost, and that with it as in healthy drives [nats]
 
 
 def screen_effects(library: Library, start: Point, far: bool = True) -> list[Candidate]:

@@ -6,36 +6,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
 from steerd.car_model.params import GRAVITY
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.inference.chart import INVERSE, RELATIVE, SPREAD, WHEELBASE, Chart, make_chart
 
-Array = NDArray[np.float64]
-
-RELATIVE_MAX = 0.05
-"""A length, stiffness or scale is known when its standard error is below this share of it."""
-SPREAD_MAX = 0.2
-"""Anything else is known when its standard error is below this share of its prior's."""
+RELATIVE_MAX = 0.05  # a length, stiffness or scale is known whose error is below this share of it
+SPREAD_MAX = 0.2  # all else is known when its standard error is below this share of its prior's
 GAIN_MIN = 8.0
-"""A direction is identifiable when the data shrink its prior standard deviation by more than this.
-
-Less can be an artefact: noise that free initial states take for transients looks informative.
-"""
+"""A direction is identifiable when the data shrink its prior standard deviation by more than this;
+less can be an artefact: noise that free initial states take for transients looks informative."""
 DOUBT = 0.2
-"""No tyre is so stiff that its compliance is known better than this before any data [rad].
-
-Priors lie about the start: circles from a start with large stiffness would seem to show lengths.
-"""
-EXTREME = 2.0
-"""A stiffness within this factor of a bound is no tyre's."""
+"""No tyre is so stiff that its compliance is known better than this before any data [rad]. Priors
+lie about the start: circles from a start with large stiffness would seem to show lengths."""
+EXTREME = 2.0  # a stiffness within this factor of a bound is no tyre's
 BOUNDED = ("lf", "lr", "inertia_z", "steer_gain", "speed_gain")
 """What no car has at a bound; stiffnesses have doubts of their own there, and zero is a time."""
-AT_BOUND = 1e-3
-"""This share of it away is still at the bound."""
-SUM_MAX = 0.02
-"""A sum is called known when its standard error, doubts included, is below this share of it."""
+AT_BOUND = 1e-3  # this share of it away is still at the bound
+SUM_MAX = 0.02  # a sum is known when its error, doubts included, is below this share of it
 
 _SHOWING = "a drive that lets this effect show"
 _TWO_SPEEDS = "constant steering at two or more speeds (`steerd collect --plan mixed`)"
@@ -68,8 +57,7 @@ class Estimate:
     """One parameter."""
 
     value: float  # the estimate
-    # Its standard error (with the weak prior); of what is not identifiable, with all doubts
-    sd: float
+    sd: float  # its standard error; of what is not identifiable, with all doubts
     identifiable: bool  # whether the data identify it; if not, the value is largely the prior's
     manoeuvre: str = ""  # what would identify it; empty when it is identifiable
 

@@ -6,18 +6,16 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
 from steerd.car_model.params import Car
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.inference.augmented_car import AugmentedCar, Control
 from steerd.sysid.inference.chart import places_of
 from steerd.sysid.inference.likelihood import Likelihood, Reduced
 from steerd.sysid.inference.posterior import design_effect
 from steerd.sysid.inference.search import Point
 from steerd.sysid.inference.space import Space, make_space
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

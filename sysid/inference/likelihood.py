@@ -19,8 +19,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from steerd.sysid.data.data_checks import Array, Indices, Mask
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.disturbance_response import responses
 from steerd.sysid.inference.noise import (
@@ -32,8 +32,6 @@ from steerd.sysid.inference.noise import (
 )
 from steerd.sysid.inference.predictor import FREE_STATES, Linear, Predictor
 
-Array = NDArray[np.float64]
-
 SIZES: Array = np.concatenate([[0.0], np.geomspace(0.02, 40.0, 25)])
 """Sizes that are tried; a factor of 1.37 between them changes no decision."""
 
@@ -43,8 +41,7 @@ class Rotated(NamedTuple):
 
     by_z: Array  # (W, D, n) by the coordinates
     by_x: Array  # (W, D, 7) by the window's start
-    # (W,) windows whose start takes no step of its own: so bent that none keeps its promise
-    held: NDArray[np.bool_]
+    held: Mask  # (W,) windows whose start takes no step: so bent that none keeps its promise
 
 
 class Weighed(NamedTuple):
@@ -52,8 +49,7 @@ class Weighed(NamedTuple):
 
     size: float  # of the discrepancy
     weight: Array  # (W, D) precision of each row
-    # (W, 7, D) derivatives by the starts, weighed; `heavy` (W, n, D) by the coordinates
-    turned: Array
+    turned: Array  # (W, 7, D) derivatives by starts, weighed; `heavy` (W, n, D) by coordinates
     heavy: Array
     inverse: Array  # (W, 7, 7) inverse curvature of the starts, priors included
     free: Array  # (W,) 0 where a start takes no step of its own, else 1
@@ -62,7 +58,7 @@ class Weighed(NamedTuple):
     h: Array  # (W, n, n) curvature with the starts eliminated
     volume: Array  # (W,) see `Reduced`
 
-    def take(self, chosen: NDArray[np.int64]) -> "Weighed":
+    def take(self, chosen: Indices) -> "Weighed":
         """Some of the coordinates alone."""
         return self._replace(
             heavy=self.heavy[:, chosen], cross=self.cross[:, :, chosen],
@@ -82,7 +78,7 @@ class Reduced(NamedTuple):
     dx: Array  # (W, 7) step of the start; minus `kx` (W, 7, n) per step of the coordinates
     kx: Array  # see `dx`
 
-    def take(self, chosen: NDArray[np.bool_]) -> "Reduced":
+    def take(self, chosen: Mask) -> "Reduced":
         """Some of the windows (mask (W,)) alone."""
         return Reduced(*(part[chosen] for part in self))
 
@@ -97,7 +93,7 @@ class Reduced(NamedTuple):
         return np.asarray(self.square / self.dof)
 
     @property
-    def spun(self) -> NDArray[np.bool_]:
+    def spun(self) -> Mask:
         """(W,) windows that are so far off that they pull at nothing."""
         return np.asarray(self.ratio >= c.SPUN)
 
@@ -241,7 +237,7 @@ class Likelihood:
         return float((1.0 - self.weights(size)).sum() / self.predictor.padded.there.sum())
 
 
-def take_some(likelihood: Likelihood, chosen: NDArray[np.bool_]) -> Likelihood:
+def take_some(likelihood: Likelihood, chosen: Mask) -> Likelihood:
     """The likelihood of some windows (mask (W,))."""
     predictor = likelihood.predictor.take(chosen)
     width = predictor.padded.there.shape[1]

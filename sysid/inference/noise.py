@@ -11,20 +11,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtri
 from scipy.optimize import minimize
 
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.inference.constants import NOISE_KEPT
 from steerd.sysid.inference.disturbance_response import PIECE, responses
 from steerd.sysid.inference.predictor import FREE_STATES, Linear, Predictor
 
-Array = NDArray[np.float64]
-
-MEMORY = 0.1
-"""Correlation time of the pushes [s]."""
-WINDOWS_MOST = 60
-"""Windows that are enough to learn from."""
+MEMORY = 0.1  # correlation time of the pushes [s]
+WINDOWS_MOST = 60  # windows that are enough to learn from
 _INSTRUMENTS = 4
 WHEEL_SLIP = 0.005
 """Slip of the driven wheel per speed and acceleration, before it is learnt [s^2/m].
@@ -32,20 +28,17 @@ WHEEL_SLIP = 0.005
 A wheel that drives or brakes turns v a / (mu g C) faster than the car moves: 0.0045 v a for tyres
 with C = 22. The base equations know no slip, and taken at its word it passes for pose latency. So
 every window may have a coefficient of its own, as large as this."""
-WHEEL_LEAST = 0.01
-"""Wheel speed says no more than this of the car's, beside its slip [m/s]."""
+WHEEL_LEAST = 0.01  # wheel speed says no more than this of the car's, beside its slip [m/s]
 _LEAST = np.array([1e-5, 1e-5, WHEEL_LEAST, 1e-4, 1e-3, 1e-3, 1e-3, 1e-5])
 _MOST = np.array([0.05, 0.05, 0.5, 0.5, 20.0, 20.0, 200.0, 0.05])
 _START = np.array([1e-3, 2e-3, 0.02, 0.05, 0.3, 0.3, 2.0, WHEEL_SLIP])
 """First guesses; what an instrument that no drive had is taken to be."""
-LOUDER = 1.3
-"""Instruments that are noisier than known by this factor are believed to be."""
+LOUDER = 1.3  # instruments that are noisier than known by this factor are believed to be
 _WILDEST, _PUSHED = 100.0, 50.0
 """Derivative by a window's start, and response to a unit push, beyond which it shows no noise;
 ordinary windows have 2 to 14, and .1 to 1.4."""
 _ROUNDS = 40
-_ENOUGH = 1e-7
-"""Share of the log-likelihood below which a step is the last: some hundredths of a nat."""
+_ENOUGH = 1e-7  # share of the log-likelihood below which a step is the last: 0.01 nats or so
 _KEYS = ("position", "yaw", "wheel_speed", "yaw_rate", "push_along", "push_across", "push_about",
          "wheel_slip")  # fmt: skip
 
@@ -56,8 +49,7 @@ class Noise:
 
     # Standard deviations by `steerd.sysid.data.windows.GROUPS`: [m], [rad], [m/s], [rad/s]
     instruments: tuple[float, float, float, float]
-    # Of accelerations along [m/s^2], across [m/s^2] and about the car [rad/s^2]
-    pushes: tuple[float, float, float]
+    pushes: tuple[float, float, float]  # along, across [m/s^2] and about the car [rad/s^2]
     wheel_slip: float = WHEEL_SLIP  # of the driven wheel's slip per speed and acceleration [s^2/m]
 
     @property

@@ -13,17 +13,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect, Role
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import Control
 from steerd.sysid.inference.chart import places_of
 from steerd.sysid.inference.library import Library, Slice, slice_along
 from steerd.sysid.inference.posterior import Posterior, log_mean, log_share_beyond, posterior_of
 from steerd.sysid.inference.search import Point
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

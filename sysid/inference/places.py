@@ -5,16 +5,12 @@ every disc about a window, of some radii, is compared with the rest of the floor
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from steerd.sysid.data.data_checks import Array
 
-RADII = (0.6, 1.0, 1.6, 2.5)
-"""Of the discs that are tried [m]."""
-DISCS = 4
-"""Discs that are returned at most."""
-_FEWEST = 2
-"""Windows in a disc at least; one alone may have been spun by anything."""
+RADII = (0.6, 1.0, 1.6, 2.5)  # of the discs that are tried [m]
+DISCS = 4  # discs that are returned at most
+_FEWEST = 2  # windows in a disc at least; one alone may have been spun by anything
 
 
 def suspicious_discs(where: Array, badness: Array) -> list[tuple[float, float, float]]:

@@ -14,11 +14,10 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.model import Model
-from steerd.sysid.data.data_checks import DataError
+from steerd.sysid.data.data_checks import Array, DataError
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import BLOCK
 from steerd.sysid.data.windows import GROUPS, estimate_noise
@@ -30,28 +29,21 @@ from steerd.sysid.inference.predictor import HORIZON, Predictor, open_predictor
 from steerd.sysid.inference.search import Point, curvature, minimise, open_point, stand, with_size
 from steerd.sysid.inference.space import SPEED_LOOP, hidden_names, make_space, weak_knowledge
 
-Array = NDArray[np.float64]
-
 DEFAULT_FREE: tuple[str, ...] = (
     "lf", "lr", "c_sf", "c_sr", "inertia_z", "steer_gain", "steer_bias", "steer_delay",
     "steer_lag", "speed_gain", "speed_lag",
 )  # fmt: skip
 """Free unless said otherwise. mu only scales the stiffnesses, mass only the inertia: fixed."""
-SPEED_CHANGE = 0.1
-"""A commanded speed that varies by less within every drive was never changed [m/s]."""
-ENOUGH, MOST = 60.0, 240.0
-"""Driving that is enough for a rough car, and for the last stage [s]."""
-POOR = 2.0
-"""Residuals so many times the noise say that the car is not explained, or another one is meant."""
-_OUTLIER = 3.0
-"""Errors beyond so many standard deviations count as that many."""
+SPEED_CHANGE = 0.1  # a commanded speed that varies by less in every drive was never changed [m/s]
+ENOUGH, MOST = 60.0, 240.0  # driving that is enough for a rough car, and for the last stage [s]
+POOR = 2.0  # residuals so many times the noise: not explained, or another car is meant
+_OUTLIER = 3.0  # errors beyond so many standard deviations count as that many
 
 
 class Asked(NamedTuple):
     """What is asked of drives."""
 
-    # The car as believed so far: weak priors lie about it, what is not free stays
-    model: Model[float]
+    model: Model[float]  # as believed so far: weak priors lie about it, what is not free stays
     free: tuple[str, ...]  # names of the free parameters
     wheelbase: float | None = None  # measured distance of the axles [m]
 

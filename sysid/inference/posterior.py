@@ -12,17 +12,14 @@ an effect that healthy drives show as well is compared with what they show (see
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from steerd.sysid.data.data_checks import Array, Indices
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.likelihood import Likelihood, take_some
 from steerd.sysid.inference.search import Point, curvature, minimise, stand
 
-Array = NDArray[np.float64]
-
-_PATTERNS = (1, 2, 3)
-"""Which blocks a half has: those whose number has an odd count of these bits."""
+_PATTERNS = (1, 2, 3)  # which blocks a half has: those whose number has an odd count of these bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +59,7 @@ def posterior_of(point: Point, temper: float) -> Posterior:
     return Posterior(point, evidence, covariance)
 
 
-def between_halves(likelihood: Likelihood, point: Point, blocks: NDArray[np.int64]) -> Array:
+def between_halves(likelihood: Likelihood, point: Point, blocks: Indices) -> Array:
     """(n,) variance of an optimum's coordinates by balanced half-samples (McCarthy, 1969).
 
     One half of the blocks and the other are fitted, by some patterns. A likelihood with kinks, or a

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from steerd.car_model.chassis import KINEMATIC_RATE, dynamic_share
@@ -27,6 +26,7 @@ from steerd.car_model.native.windows import (
 from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.params import Car
 from steerd.car_model.rollout import stiffness_rate
+from steerd.sysid.data.data_checks import Array, Indices, Mask
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import (
     SPACING,
@@ -39,29 +39,20 @@ from steerd.sysid.data.windows import (
 from steerd.sysid.inference.augmented_car import AugmentedCar
 from steerd.sysid.inference.space import Space
 
-Array = NDArray[np.float64]
-
-HORIZON = 1.0
-"""Length of a window [s]: delays, gains and tyres all show within it, nothing compounds yet."""
+HORIZON = 1.0  # length of a window [s]: delays, gains and tyres show, nothing compounds yet
 INTEGRATOR = "midpoint"
 """Half the work of `rk4`; on a grid of 5 ms a position differs by 0.01 mm after a second."""
 STATE_SPREAD = np.array([0.1, 0.1, 0.2, 0.5, 2.0, 0.2, 0.01])
 """Prior standard deviation of a start about its first guess (poses show it far better)."""
 STEER_SPREAD_UNKNOWN = 0.2
 """That of its steering angle where the commands before the window are not known [rad]."""
-STEER_SPREAD = 0.003
-"""How far the steering may be from where the known commands bring it [rad]."""
-FREE_STATES = 6
-"""States of a start that the window itself determines: what they take is no degree of freedom."""
+STEER_SPREAD = 0.003  # how far the steering may be from where the known commands bring it [rad]
+FREE_STATES = 6  # states of a start that its window determines: they take degrees of freedom
 WILD = 1e3
-"""Errors beyond this are a simulation that left the map [m, rad, m/s, rad/s].
-
-Derivatives beyond it count as none: squared and weighed by millimetres they leave no digits.
-"""
-WILD_SHARE = 0.5
-"""Share of such windows above which the whole simulation counts as diverged."""
-WILD_ERROR = 1.0
-"""What every reading of such a window is taken to be off by, whatever is changed [m, rad, ...]."""
+"""Errors beyond this are a simulation that left the map [m, rad, m/s, rad/s]. Derivatives beyond it
+count as none: squared and weighed by millimetres they leave no digits."""
+WILD_SHARE = 0.5  # share of such windows above which the whole simulation counts as diverged
+WILD_ERROR = 1.0  # every reading of such a window is off by this, whatever is changed [m, rad, ...]
 DECAY_MAX = {"rk4": 2.0, "midpoint": 1.4, "euler": 1.4}
 """Decay per step that is surely stable (the limits are 2.78, 2 and 2)."""
 SUBSTEPS_MAX = 16
@@ -70,7 +61,7 @@ SUBSTEPS_MAX = 16
 class Padded(NamedTuple):
     """Rows by window."""
 
-    row: NDArray[np.int64]  # (W, D) place among all rows, of the first where several are averaged
+    row: Indices  # (W, D) place among all rows, of the first where several are averaged
     there: Array  # (W, D) 1 where there is one
     merged: Array  # (W, D) how many are averaged
     weights: csr_array  # (W * D, R) of the averages
@@ -79,8 +70,8 @@ class Padded(NamedTuple):
 class Alike(NamedTuple):
     """Windows that are integrated in steps of the same length."""
 
-    chosen: NDArray[np.bool_]  # (W,) which; rows: (R,) theirs
-    rows: NDArray[np.bool_]
+    chosen: Mask  # (W,) which; rows: (R,) theirs
+    rows: Mask
     layout: Layout  # they alone
     held: HeldCommands  # the commands as they are integrated over
     windows: Windows  # in integration steps
@@ -102,7 +93,7 @@ class Predictor:
     augmented: AugmentedCar  # the car
     layout: Layout  # the windows
     padded: Padded  # rows by window
-    substeps: NDArray[np.int64]  # (W,) integration steps to a command
+    substeps: Indices  # (W,) integration steps to a command
     means: bool = False  # see `open_predictor`
 
     @property
@@ -120,13 +111,13 @@ class Predictor:
         """The windows by how long their steps are."""
         return [self._alike(self.substeps == n, n) for n in np.unique(self.substeps).tolist()]
 
-    def _alike(self, chosen: NDArray[np.bool_], steps: int) -> Alike:
+    def _alike(self, chosen: Mask, steps: int) -> Alike:
         rows, layout = chosen[self.layout.window], take_windows(self.layout, chosen)
         held = HeldCommands(layout.commands, layout.h, steps, INTEGRATOR)
         return Alike(chosen, rows, layout, held, layout.kernel_windows(steps))
 
     @property
-    def channel(self) -> NDArray[np.int64]:
+    def channel(self) -> Indices:
         """(W, D) channel of each row, see `Layout.channel`."""
         return np.asarray(self.layout.channel[self.padded.row])
 
@@ -228,7 +219,7 @@ class Predictor:
         needed = [stable_substeps(car, low, high, layout.h, INTEGRATOR) for low, high in speeds]
         return replace(self, substeps=np.maximum(self.substeps, needed))
 
-    def take(self, chosen: NDArray[np.bool_]) -> "Predictor":
+    def take(self, chosen: Mask) -> "Predictor":
         """The predictor on some of its windows (boolean mask (W,))."""
         layout = take_windows(self.layout, chosen)
         padded, substeps = pad_rows(layout, self.means), self.substeps[chosen]

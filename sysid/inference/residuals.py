@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from steerd.sysid.data.data_checks import Array, Indices, Mask
 from steerd.sysid.data.windows import SPACING
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.predictor import Predictor
@@ -14,19 +14,13 @@ from steerd.sysid.inference.search import Point, newton, stand, with_size
 from steerd.sysid.inference.space import Space
 from steerd.sysid.inference.starts import settle_starts
 
-Array = NDArray[np.float64]
-
-LEADS: tuple[float, ...] = (0.1, 0.5, 1.0)
-"""Times after a window's start at which errors are reported [s]."""
-_SOFT = 3.0
-"""Size of the discrepancy under which starts are sought first."""
+LEADS: tuple[float, ...] = (0.1, 0.5, 1.0)  # after a window's start, where errors are reported [s]
+_SOFT = 3.0  # size of the discrepancy under which starts are sought first
 _BOOTSTRAPS = 200
-_FEW = 0.2
-"""Share of the windows that may be spun; of more the model is to blame."""
+_FEW = 0.2  # share of the windows that may be spun; of more the model is to blame
 _HALF_SLOT = 0.5 * SPACING
 FOLDS = 4
-BLOCK = 3
-"""Windows that follow each other and count as one when uncertainty is estimated."""
+BLOCK = 3  # windows that follow each other and count as one when uncertainty is estimated
 
 
 class Error(NamedTuple):
@@ -82,7 +76,7 @@ def excess_of(likelihood: Likelihood, point: Point) -> float:
     return max(robust_mean(with_size(likelihood, point, 0.0).at.ratio) - 1.0, 0.0)
 
 
-def interval_of(values: Array, blocks: NDArray[np.int64], seed: int = 0) -> Array:
+def interval_of(values: Array, blocks: Indices, seed: int = 0) -> Array:
     """Bootstrap of `robust_mean` over blocks: (draws,)."""
     members = [np.flatnonzero(blocks == b) for b in np.unique(blocks)]
     drawn = np.random.default_rng(seed).integers(len(members), size=(_BOOTSTRAPS, len(members)))
@@ -95,7 +89,7 @@ def middle_of(draws: Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def spun_windows(fitted: Point) -> NDArray[np.bool_]:
+def spun_windows(fitted: Point) -> Mask:
     """(W,) windows in which the car spins whatever explains the others; none where all are far off.
 
     A chaotic second says nothing in millimetres.
@@ -104,9 +98,7 @@ def spun_windows(fitted: Point) -> NDArray[np.bool_]:
     return spun & bool(spun.mean() < _FEW)
 
 
-def gap_of(
-    predictor: Predictor, fitted: Point, spun: NDArray[np.bool_], leads: Sequence[float]
-) -> Gap:
+def gap_of(predictor: Predictor, fitted: Point, spun: Mask, leads: Sequence[float]) -> Gap:
     """The gap under a fit; windows that are `spun` count in the whitened error alone."""
     interval = middle_of(interval_of(fitted.at.ratio, blocks_of(predictor)))
     each = [_at_lead(predictor, fitted.linear.error, lead, ~spun) for lead in leads]
@@ -124,7 +116,7 @@ def _rms(errors: Array) -> Error:
 
 
 def _at_lead(
-    predictor: Predictor, error: Array, lead: float, kept: NDArray[np.bool_]
+    predictor: Predictor, error: Array, lead: float, kept: Mask
 ) -> tuple[Array, Array, Array]:
     """Position, yaw and speed errors of all windows near `lead` (speed from the wheel)."""
     t, channel = predictor.layout.row_t[predictor.padded.row], predictor.channel
@@ -136,7 +128,7 @@ def _at_lead(
     return position, error[turn], error[wheel]
 
 
-def _nearest(away: Array, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _nearest(away: Array, wanted: Mask) -> Mask:
     """Rows within half a slot of the lead; the last slot of windows may lie before it."""
     there = wanted & np.isfinite(away)
     if not there.any():
@@ -144,7 +136,7 @@ def _nearest(away: Array, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(there & (away < max(0.0, away[there].min() - _HALF_SLOT) + _HALF_SLOT + 1e-3))
 
 
-def folds_of(predictor: Predictor) -> NDArray[np.int64]:
+def folds_of(predictor: Predictor) -> Indices:
     """(W,) fold of each window: whole runs where there are enough, else interleaved blocks."""
     run = predictor.layout.run
     if len(np.unique(run)) >= FOLDS:
@@ -152,7 +144,7 @@ def folds_of(predictor: Predictor) -> NDArray[np.int64]:
     return np.asarray((np.arange(len(run)) // BLOCK) % FOLDS)
 
 
-def blocks_of(predictor: Predictor) -> NDArray[np.int64]:
+def blocks_of(predictor: Predictor) -> Indices:
     """(W,) number of the block of neighbouring windows."""
     layout = predictor.layout
     first = np.searchsorted(layout.run, layout.run)
@@ -161,7 +153,7 @@ def blocks_of(predictor: Predictor) -> NDArray[np.int64]:
     return np.asarray(block)
 
 
-def held_out(fitted: Point, folds: NDArray[np.int64]) -> Array:
+def held_out(fitted: Point, folds: Indices) -> Array:
     """(W,) whitened squares per degree of freedom under the fit without each window's fold.
 
     Leaving a fold out moves the optimum by one Newton step; the losses are those of the windows'

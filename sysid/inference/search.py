@@ -11,38 +11,27 @@ step until it reaches the size that the errors themselves ask for (graduated opt
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed, take_some
 from steerd.sysid.inference.predictor import Linear
 from steerd.sysid.inference.space import Space
 from steerd.sysid.inference.starts import owes, settle_starts
 
-Array = NDArray[np.float64]
-
-FALL = 2.2
-"""The size falls by this factor a step at most: faster, dead times are left behind."""
-ENOUGH = 0.3
-"""A step that promises and gains less than this many nats at the last size ends the search."""
+FALL = 2.2  # the size falls by this factor a step at most: faster, dead times are left behind
+ENOUGH = 0.3  # a step that promises and gains less at the last size ends the search [nats]
 STEPS = 24
 _LIMITS = {"accel_max": 0.3, "decel_max": 0.3, "steer_rate": 0.05}
 """Steps over which limits are differenced: [m/s^2], and relative for the slew rate."""
-_TRUST = 0.4
-"""Derivatives are taken anew where a step gains this much more or less than it promised ..."""
-_FAR = 30.0
-"""... or after so many nats."""
+_TRUST = 0.4  # derivatives are taken anew where a step's promise is off by this share ...
+_FAR = 30.0  # ... or after so many nats
 _DAMPING_MAX = 1e4
-BEHIND = 80.0
-"""A search that is so many nats behind another hypothesis is given up."""
-_ROUNDS = 2
-"""Steps of every window's start after one of the coordinates."""
-_SHORTER = 0.25
-"""A start's step that led up is tried again so much shorter."""
-_UNTIL = 4
-"""Steps before a search may be given up."""
-_EXCHANGES = 200
-"""Of coordinates at and off their bounds, at most."""
+BEHIND = 80.0  # a search that is so many nats behind another hypothesis is given up
+_ROUNDS = 2  # steps of every window's start after one of the coordinates
+_SHORTER = 0.25  # a start's step that led up is tried again so much shorter
+_UNTIL = 4  # steps before a search may be given up
+_EXCHANGES = 200  # of coordinates at and off their bounds, at most
 _HAIR, _APART = 1e-12, 1e-10
 """Bounds must lie apart, and no two coordinates do the same to the last digit: by so much."""
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.effect import Channel
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import AugmentedCar, BasePrior
@@ -23,14 +23,9 @@ from steerd.sysid.inference.chart import (
     relative_length,
 )
 
-Array = NDArray[np.float64]
-
-WIDER = 2.0
-"""Prior standard deviation of a base parameter per standard error of its identification."""
-BOX = 3.0
-"""Base parameters stay within this many prior standard deviations."""
-EFFECT_WIDER = 3.0
-"""Prior standard deviation of an effect's parameter per its scale: barely a prior."""
+WIDER = 2.0  # prior standard deviation of a base parameter per standard error of its identification
+BOX = 3.0  # base parameters stay within this many prior standard deviations
+EFFECT_WIDER = 3.0  # prior standard deviation of an effect's parameter per its scale: barely one
 FLOORS = {
     "lf": 0.002, "lr": 0.002, "c_sf": 0.02, "c_sr": 0.02, "c_x": 0.1, "inertia_z": 0.03,
     "steer_gain": 0.004, "steer_bias": 5e-4, "steer_delay": 1e-3, "steer_lag": 2e-3,
@@ -38,18 +33,14 @@ FLOORS = {
     "accel_max": 0.1, "decel_max": 0.1, "pose_delay": 5e-4,
 }  # fmt: skip
 """Least prior standard deviation: what an identified car is off by because every model is wrong.
-
 Relative for stiffnesses, inertia and gains, for lengths of a car of the default's size, else in the
-parameter's unit.
-"""
+parameter's unit."""
 LIMITS = ("steer_rate", "accel_max", "decel_max")
 """Limits, which a data sheet gives for another car; drives that reach them identify this one's."""
 SPEED_LOOP = ("speed_lag", "drive_delay", "accel_max", "decel_max")
 """What lies between a commanded speed and the wheels'."""
-SESSION = 0.3
-"""Of the floors, what a car differs by from one day to the next beside that."""
-UNKNOWN = 3.0
-"""How much wider the floors are where the car file gives no standard error."""
+SESSION = 0.3  # of the floors, what a car differs by from one day to the next beside that
+UNKNOWN = 3.0  # how much wider the floors are where the car file gives no standard error
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,24 +7,19 @@ where tyres saturate a full Newton step leads away.
 # Why: docs/decisions/diagnosis.md#d91
 
 import numpy as np
-from numpy.typing import NDArray
 
+from steerd.sysid.data.data_checks import Array, Mask
 from steerd.sysid.inference.likelihood import Likelihood, loss_of, take_some
 
-Array = NDArray[np.float64]
-
-OWED = 0.05
-"""A start whose next step promises less than this is at its best [nats]."""
+OWED = 0.05  # a start whose next step promises less than this is at its best [nats]
 _ROUNDS = 20
-_FEWER = 0.7
-"""Windows that still move are taken out where they are a smaller share."""
-_DAMPING, _STUCK = 1e-3, 1e5
-"""Damping at first, and where no step is better."""
+_FEWER = 0.7  # windows that still move are taken out where they are a smaller share
+_DAMPING, _STUCK = 1e-3, 1e5  # damping at first, and where no step is better
 
 
 def settle_starts(
     likelihood: Likelihood, parameters: Array, x: Array, by: tuple[Array, Array], size: float
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """Starts (W, 7) at their best, and which (W,) keep no promise: they stay where they are.
 
     Args:
@@ -71,6 +66,6 @@ def settle_starts(
     return x, left
 
 
-def owes(square: Array, promised: Array, dof: Array) -> NDArray[np.bool_]:
+def owes(square: Array, promised: Array, dof: Array) -> Mask:
     """(W,) whether windows' losses would fall by more than `OWED` with squares so much smaller."""
     return np.asarray(loss_of(square, dof) - loss_of(square - promised, dof) > OWED)

@@ -32,8 +32,7 @@ PAPER_STEP = 0.002  # Euler step of the paper's simulator [s]
 LOW = np.array([0.1, 0.1, 2.0, 2.0])
 HIGH = np.array([0.35, 0.35, 10.0, 10.0])
 """Starts are uniform in between (the paper's 2.857 to 10, divided by 28.57, for the lengths)."""
-RATES = np.array([1.5 / 28.57, 1.5 / 28.57, 0.2, 0.2])
-"""Adam's step sizes, in the parameters' units."""
+RATES = np.array([1.5 / 28.57, 1.5 / 28.57, 0.2, 0.2])  # Adam's steps, in the parameters' units
 CHAMFER_WEIGHT = 100.0
 BATCH = 4
 STRIDE = 100  # steps between the points that soft-DTW aligns (0.2 s)
@@ -41,8 +40,7 @@ SECONDS = 8.0  # length of the paper's runs [s]
 DURATION_MIN = 2.0  # shorter runs are left out [s]
 MOVING = 0.3  # runs are where the speed command is above this [m/s]
 CMA_SIGMA = 3.0  # first spread, as in the paper's authors' experiments
-LENGTH_SCALE = 28.57
-"""They search lengths times this, so that all four parameters lie between 2 and 10."""
+LENGTH_SCALE = 28.57  # they search lengths times this, so that all four parameters lie in 2 to 10
 SCALE = np.array([LENGTH_SCALE, LENGTH_SCALE, 1.0, 1.0])
 
 PAPER_GAMMA = 0.1  # softness in the paper [m^2]
@@ -107,36 +105,27 @@ def simulate(
     first: Tensor,
     commands: Tensor,
     h: float,
-    *,
     integrator: str = "rk4",
-    substeps: int = 1,
-    history: int = 0,
-    t: float = 0.0,
 ) -> Tensor:
     """States (B, N + 1, STATES + memory) of windows side by side, as `benchmarks.torch_reference`.
 
-    From parameters (P,), `first` states (B, STATES + memory, or STATES with an empty memory) and
-    commands (B, history + N, 2), each held over a step of `h` [s] and `substeps` integration steps;
-    `history` of them lie before the first step, which is `t` [s] into the run. The states are a
-    view whose innermost axis in memory is B.
+    From parameters (P,), `first` states (B, STATES + memory) and commands (B, N, 2), each held over
+    a step of `h` [s]. The states are a view whose innermost axis in memory is B.
 
     Raises:
         TypeError: a tensor is not float64.
     """
     if {parameters.dtype, first.dtype, commands.dtype} != {torch.float64}:
         raise TypeError("parameters, first states and commands must be float64")
-    missing = compiled.STATES + kernels.memory - first.shape[-1]
-    if missing:
-        first = torch.nn.functional.pad(first, (0, missing))
     count, length = commands.shape[:2]
     low = np.arange(count) * length
-    runs = np.stack([low, low + length, low + history], axis=1)
-    blocks = compiled.make_window_blocks(runs, np.full(count, t))
+    blocks = compiled.make_window_blocks(
+        np.stack([low, low + length, low], axis=1), np.zeros(count)
+    )
     orders = np.ascontiguousarray(commands.detach().numpy()).reshape(-1, 2)
-    held = compiled.HeldCommands(orders, h, substeps, integrator)
-    steps = (length - history) * substeps
-    path: Tensor = _Simulate.apply(parameters, first, commands, kernels, held, blocks, steps)  # type: ignore[no-untyped-call]
-    return path[:, ::substeps]
+    held = compiled.HeldCommands(orders, h, 1, integrator)
+    path: Tensor = _Simulate.apply(parameters, first, commands, kernels, held, blocks, length)  # type: ignore[no-untyped-call]
+    return path
 
 
 class _Simulate(torch.autograd.Function):
@@ -242,10 +231,8 @@ def predict(problem: PaperProblem, four: Tensor, runs: Sequence[PaperRun]) -> li
         [np.pad(r.commands, ((0, longest - len(r.commands)), (0, 0)), "edge") for r in runs]
     )
     first = torch.from_numpy(np.stack([run.first for run in runs]))
-    path = simulate(
-        problem.kernels, parameters, first, torch.from_numpy(commands), PAPER_STEP,
-        integrator="euler",
-    )  # fmt: skip
+    orders = torch.from_numpy(commands)
+    path = simulate(problem.kernels, parameters, first, orders, PAPER_STEP, "euler")
     return [path[i, : len(run.commands), :2] for i, run in enumerate(runs)]
 
 

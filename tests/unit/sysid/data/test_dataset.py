@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from steerd.sysid.data import segments
 from steerd.sysid.data.data_checks import DataError, noise_of
-from steerd.sysid.data.dataset import HISTORY, Signal, hold_means, make_run, pose_speed
+from steerd.sysid.data.dataset import HISTORY, Signal, hold_means, make_run, pose_rates
 from steerd.sysid.data.excitation import speed_tracking_share
 from steerd.sysid.data.windows import make_layout
 
@@ -190,6 +190,9 @@ def test_pieces_stand_for_a_long_drive(long_drive):
         assert x == pytest.approx(piece.pose.values[0, 0])
         assert piece.pose.t[0] == pytest.approx(4.0, abs=0.03)
         assert piece.history == long_drive.history
+        begin = round(piece.start / piece.h)
+        own = long_drive.commands[begin : begin + len(piece.commands)]
+        assert np.array_equal(piece.commands, own)
         assert piece.commands.base is None, "a view keeps the whole drive in memory"
 
 
@@ -226,6 +229,6 @@ def test_shorter_ones_are_counted_and_a_centimetre_of_noise_does_not_chop_a_driv
     (text,) = segments.describe_unused([run])
     assert "2 stretches of driving shorter than 1.2 s" in text
     run = imported(lambda t: 0.6 + 0.0 * t, 100.0, blur=0.01)
-    assert np.std(pose_speed(run.pose).values) < 0.2
+    assert np.std(pose_rates(run.pose).speed) < 0.2
     (part,) = segments.moving_segments([run])
     assert np.ptp(part.pose.t) > 18.0

@@ -35,13 +35,6 @@ def test_every_second_command_is_never_seen(phase, seen):
     assert set(np.round(got[4:-4], 12)) <= set(np.round(steer[seen::2], 12))
 
 
-def test_a_ramp_keeps_its_mean_time():
-    run = _commanded(0.001 * np.arange(200))
-    for phase in (0.005, 0.015):
-        off = (latch(run, phase).commands - run.commands)[40:360, 0]
-        assert np.mean(off) == pytest.approx(0.0, abs=1e-9)
-
-
 @pytest.mark.parametrize("phase", [0.005, 0.015])
 def test_the_phase_is_found_and_the_car_behind_it(make_drive, simulated, phase):
     truth = DEFAULT_CAR._replace(c_sf=4.4, c_sr=5.9, inertia_z=0.05, steer_delay=0.018)
@@ -71,11 +64,7 @@ def _asked(speed, rate):
     return _commanded(np.zeros(len(speed)), speed, speed_ramp=rate)
 
 
-def test_a_step_becomes_a_straight_slope_and_without_ramp_or_speed_command_stays():
-    run = _asked(np.concatenate([np.zeros(2), np.full(40, 1.0)]), 5.0)
-    got = ramped(run).commands[:, 1]
-    middle = 0.005 * (np.arange(len(got)) + 0.5)
-    np.testing.assert_allclose(got, np.clip(5.0 * (middle - 0.02), 0.0, 1.0), atol=1e-12)
+def test_speeds_without_ramp_or_command_stay():
     run = _asked(np.linspace(1.0, 2.0, 30), 0.0)
     assert ramped(run) is run
     measured = replace(run, speed_ramp=RATE, speed_source="wheel")
@@ -85,6 +74,7 @@ def test_a_step_becomes_a_straight_slope_and_without_ramp_or_speed_command_stays
 @pytest.mark.parametrize("rate", [0.4, 2.0, 50.0])
 def test_the_setpoint_matches_a_fine_simulation(rate):
     speed = np.cumsum(np.random.default_rng(2).uniform(-0.05, 0.05, 60)) + 1.0
+    speed[30:] += 0.3
     run = _asked(speed, rate)
     fine, now, course = 1e-5, float(speed[0]), []
     for wanted in speed:

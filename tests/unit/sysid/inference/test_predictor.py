@@ -67,13 +67,6 @@ def test_readings_without_derivatives_are_the_same_numbers(healthy, effect, valu
     assert np.abs(alone - healthy.linear(space, z, x).error).max() < 1e-12
 
 
-def test_effects_at_their_nulls_change_no_bit(healthy, fitted):
-    names = [e.name for e in healthy.augmented.effects if e.name != "grip_patch"]
-    spaces = (make_space(healthy.augmented, (), some) for some in ((), names[:12]))
-    a, b = (healthy.linear(each, each.centre, fitted.x).error for each in spaces)
-    assert np.array_equal(a, b)
-
-
 def test_noise_survives_a_car_file_and_drives_noisier_than_known_are_believed():
     noise = noises.Noise((1e-3, 2e-3, 0.02, 0.03), (0.4, 0.3, 2.0))
     assert noises.noise_of_section(noises.noise_section(noise)) == noise
