@@ -11,11 +11,12 @@ drives.
 # Why: docs/decisions/identification.md#d100
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, chdtri
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import Effect
@@ -29,7 +30,7 @@ from steerd.sysid.inference.library import Library, slice_along
 from steerd.sysid.inference.noise import noise_section
 from steerd.sysid.inference.posterior import between_halves, design_effect, posterior_of
 from steerd.sysid.inference.residuals import blocks_of
-from steerd.sysid.inference.search import Point, minimise
+from steerd.sysid.inference.search import Point, minimise, stand
 from steerd.sysid.inference.space import LIMITS
 
 MODEL_ERROR: dict[str, float] = {
@@ -168,6 +169,21 @@ def _structures(fitted: FittedCar) -> list[str]:
 def _without_small(fitted: FittedCar, covariance: Array) -> tuple[Array, list[str]]:
     """Coordinates with every effect at its null that is not clearly elsewhere, and those kept.
 
+    Of the cars with fewer and fewer effects it is the smallest that the likelihood ratio does not
+    reject: errors as wide as what halves of the drives disagree about hide what all of them need.
+    """
+    point, temper = fitted.point, design_effect(fitted.likelihood, fitted.point.size)
+    for gone, z, kept in reversed(_fewer_and_fewer(fitted, covariance)):
+        with suppress(FloatingPointError):
+            alone = stand(fitted.likelihood, point.space, z, point.x, point.size)
+            if alone.cost - point.cost <= 0.5 * temper * chdtri(gone, c.CHANCE):
+                return z, kept
+    return point.z, _structures(fitted)
+
+
+def _fewer_and_fewer(fitted: FittedCar, covariance: Array) -> list[tuple[int, Array, list[str]]]:
+    """How many coordinates are at nulls, all of them, kept effects: one effect fewer each time.
+
     The likeliest by chance goes first; what moves with it moves to where it lies given that null.
     """
     space, augmented = fitted.point.space, fitted.augmented
@@ -176,6 +192,7 @@ def _without_small(fitted: FittedCar, covariance: Array) -> tuple[Array, list[st
     names = {name: [i for i, n in enumerate(labels) if n.startswith(f"{name}.")]
              for name in _structures(fitted)}  # fmt: skip
     gone: list[int] = []
+    found: list[tuple[int, Array, list[str]]] = []
     while names:
         chances = {}
         for name, mine in names.items():
@@ -191,7 +208,8 @@ def _without_small(fitted: FittedCar, covariance: Array) -> tuple[Array, list[st
         pull = np.linalg.solve(covariance[np.ix_(gone, gone)], held - fitted.point.z[gone])
         z[rest] = fitted.point.z[rest] + covariance[np.ix_(rest, gone)] @ pull
         z[gone] = held
-    return np.clip(z, space.low, space.high), list(names)
+        found.append((len(gone), np.clip(z, space.low, space.high), list(names)))
+    return found
 
 
 def knowledge_of(fitted: FittedCar) -> BasePrior:

@@ -8,8 +8,8 @@ import pytest
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sim_gap.diagnosis import Case, GapOptions, diagnose
-from steerd.sysid.inference.car_fit import Stated
-from steerd.sysid.inference.car_posterior import refine
+from steerd.sysid.inference.car_fit import Stated, fit_car
+from steerd.sysid.inference.car_posterior import file_of_fitted, knowledge_of, refine
 
 pytestmark = pytest.mark.slow
 
@@ -46,6 +46,15 @@ def test_a_stated_wheelbase_and_what_is_held_stay(drive, base, refined):
     assert "tyre_saturation" not in {e.name for e in found.effects}
     assert found.sd["c_sr"] == base.sd["c_sr"]
     assert found.sd["lf"] < 0.8 * refined.sd["lf"], "a known distance helps to find the rest"
+
+
+def test_errors_that_reach_to_nothing_take_no_effect_away_that_drives_need(drive, base):
+    fitted = fit_car(base, drive("steer_asymmetry=0.15", runs=6, seed=5))
+    known = knowledge_of(fitted)
+    unsure = replace(known, covariance=20.0**2 * known.covariance)
+    kept = {effect.name for effect in file_of_fitted(base, fitted, unsure).effects}
+    assert "steer_asymmetry" in kept
+    assert "mocap_yaw" not in kept
 
 
 @pytest.fixture(scope="module")
