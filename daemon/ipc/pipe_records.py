@@ -19,8 +19,7 @@ from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.quick_values import quick_value
 from steerd.steer_bus.topics import TOPICS, Topic
 
-PIPE_BYTES = 1 << 20
-"""Room for about 4 s of messages at 200 Hz (`docs/reference/safety-requirements.md#s2.3`)."""
+PIPE_BYTES = 1 << 20  # about 4 s at 200 Hz (`docs/reference/safety-requirements.md#s2.3`)
 _HEAD = struct.Struct("<IHHIqq")
 _F_SETPIPE_SZ = 1031
 _JOINED_NS = 100_000_000  # holes closer to each other are one

@@ -9,6 +9,7 @@ control loop must not wait.
 import contextlib
 import ctypes
 import os
+import select
 import signal
 import socket
 import threading
@@ -57,6 +58,17 @@ def raise_on_stop_signals() -> None:
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
+
+
+def is_left() -> bool:
+    """Whether the terminal, or the ssh, that shows what this process says has gone.
+
+    An ssh without a terminal ends without a signal to what it started.
+    """
+    shown = select.poll()
+    shown.register(1, 0)  # a hang-up is reported unasked
+    shown.register(2, 0)
+    return bool(shown.poll(0))
 
 
 Notify = Callable[[str], None]

@@ -20,7 +20,7 @@ from steerd.daemon.loop.findings import CAUSES, Flag
 from steerd.daemon.loop.live import make_parameters
 from steerd.daemon.loop.loop import REQUESTS, Loop
 from steerd.daemon.loop.outgoing import TickResult
-from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.loop.transitions import HELD, SupervisorState
 from steerd.mocap_link.ingest import PoseIngest
 from steerd.mocap_link.source import Pose, SourceStatus
 from steerd.steer_bus import messages as m
@@ -35,10 +35,8 @@ from steerd.vesc_link.telemetry import Imu, Uptime, Values
 from steerd.vesc_link.vesc import Answer, Drive, VescLink
 
 DIAGNOSTICS_PERIOD_NS = 500_000_000  # longest time between two diagnostics messages
-LIMITS_TRIES = 3
-"""How often the session's limits are sent: a frame may be lost. Then a pre-arm check fails."""
-ERPM_MARGIN = 1.2
-"""The VESC's own speed limit over the car file's: it must not cut in before the watchdogs."""
+LIMITS_TRIES = 3  # the session's limits are sent so often: a frame may be lost; then a check fails
+ERPM_MARGIN = 1.2  # the VESC's own speed limit over the car file's: the watchdogs come first
 _INFO, _ERROR = 20, 40  # levels of `rcl_interfaces/Log`
 _HANDSHAKE = (m.ActuationMode.SILENT, m.ActuationMode.BRAKE)
 """Orders beside which a tick's write has room for the questions at the start."""
@@ -76,8 +74,8 @@ class Core:
 
     @property
     def may_link(self) -> bool:
-        """Whether a port may be opened: one that comes back does not bring motion back."""
-        return not self.loop.supervisor.state.engaged or self.loop.at_rest
+        """Whether a port may be opened: at a stop one that comes back takes brake frames only."""
+        return self.loop.supervisor.state not in HELD
 
     def open_link(self) -> None:
         """The port is open; who the VESC is will be asked."""

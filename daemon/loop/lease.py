@@ -10,8 +10,7 @@ from steerd.steer_bus.messages import DriveCommand, OperatorRequest, ParameterRe
 
 VALID_MS, VALID_MAX_MS = 100, 300
 """How long an external command may be applied, and the longest that is accepted [ms]."""
-HANDOVER_S = 1.0
-"""Silence after which another controller may take over [s]; the car has stopped before."""
+HANDOVER_S = 1.0  # silence after which another controller may take over [s]; the car has stopped
 FORMER_MAX = 256  # number of former holders whose last numbers are remembered
 Numbers = tuple[tuple[int, int], ...]
 """Pairs of lease id and last accepted sequence number, the latest holder last."""

@@ -35,10 +35,8 @@ from steerd.daemon.settings.thresholds import LAUNCH_SPEED
 from steerd.estimator.state_filter import StateEstimate
 from steerd.steer_bus import messages as m
 
-_RELOCATE_TICKS = 25
-"""A parked car may be carried: its place on the path is searched anew every so many ticks."""
-_LEASE_KEPT_S = 1.0
-"""Time for which a silent operator keeps the lease while the car is not parked [s]."""
+_RELOCATE_TICKS = 25  # a parked car may be carried: its place on the path is searched so often
+_LEASE_KEPT_S = 1.0  # a silent operator keeps the lease so long while the car is not parked [s]
 
 
 class Loop:

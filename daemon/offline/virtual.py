@@ -110,7 +110,7 @@ class VirtualRun:
             self._try_open()
 
     def _try_open(self) -> None:
-        """As the runner does it: every 200 ms, and never while motor bytes may flow."""
+        """As the runner does it: every 200 ms, and never while the car may be driven."""
         name = self.world.serial_name
         if name is not None and self.core.may_link:
             self._opened = name

@@ -20,8 +20,7 @@ from typing import Any, NamedTuple, NoReturn
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 
-CORE = "steerd.daemon.process.core_process"
-"""Module of the control core, which takes longest to load."""
+CORE = "steerd.daemon.process.core_process"  # the control core, which takes longest to load
 READY_S = 30.0  # longest time until a process is ready [s]
 _MOST_FDS = 32
 _READ_BYTES = 65536

@@ -78,6 +78,7 @@ class RunProcesses:
 
     def __post_init__(self) -> None:
         self.requests = socket.socket(fileno=self.fds["requests"])
+        self.requests.setblocking(False)  # a core that is frozen must not freeze its terminal
         asked = self.fds.get("view_requests")
         self.viewer_requests = None if asked is None else socket.socket(fileno=asked)
 

@@ -22,8 +22,7 @@ from steerd.steer_bus.codec import CodecError, decode
 from steerd.steer_bus.messages import BODY, Heartbeat, make_header
 
 START_NS = 1_000_000_000  # time that a new guardian has until its first heartbeat
-STALE_NS_SIMULATED = 300_000_000
-"""Age of the core's heartbeat at which the guardian brakes a simulated car."""
+STALE_NS_SIMULATED = 300_000_000  # age of the core's heartbeat that trips on simulated hardware
 SILENT_S = Thresholds().guardian
 
 
@@ -123,8 +122,7 @@ def sleep_lag_ns() -> int:
 
 _STAT = Path("/proc/stat")
 _STEAL = 8  # column of the stolen time in the line of all processors; see proc(5)
-STALL_SHARE = 0.5
-"""A tick is late because the machine stood still if so much of its lateness was stolen."""
+STALL_SHARE = 0.5  # of a tick's lateness: so much was stolen where the machine stood still
 
 
 def parse_steal(text: str, ticks_per_second: int) -> int:
@@ -184,7 +182,7 @@ class RemotePath:
     holder: int = 0  # lease id of the operator who took the lease over the bus, 0 for nobody
     _asked: int = 0
     _due_ns: int = 0
-    _back_ns: int | None = None
+    _back_ns: int = 0
 
     def make_beat(self, now_ns: int, epoch_ns: int) -> Heartbeat | None:
         """The next heartbeat, if it is due."""
@@ -200,15 +198,15 @@ class RemotePath:
         except CodecError:
             return
         ours = beat.boot_id == self.boot_id and beat.lease_id == self._asked
-        if ours and (self._back_ns or 0) < beat.mono_ns <= now_ns:
+        if ours and self._back_ns < beat.mono_ns <= now_ns:
             self._back_ns = beat.mono_ns
 
     def is_silent(self, held: bool, limit_s: float, now_ns: int) -> bool:
         """Whether too long no heartbeat came back from the holder, or `held` by none, the gateway.
 
-        The gateway may take its time to start; whoever takes the lease has `limit_s` to answer.
+        Until the first does, no car is armed; whoever takes the lease has `limit_s` to answer.
         """
         asked = self.holder if held else 0
         if asked != self._asked:
             self._asked, self._back_ns = asked, now_ns
-        return self._back_ns is not None and now_ns - self._back_ns > limit_s * 1e9
+        return now_ns - self._back_ns > limit_s * 1e9

@@ -18,8 +18,7 @@ import select
 import time
 from typing import Any
 
-OFFSET, MUTEX_BYTES = 64, 64
-"""Where the mutex lies in the shared page; it is 40 bytes on x86-64, 48 on arm64."""
+OFFSET, MUTEX_BYTES = 64, 64  # of the mutex in the shared page: 40 bytes on x86-64, 48 on arm64
 _SHARED = _ROBUST = 1
 _OWNER_DIED, _TIMED_OUT = 130, 110
 
@@ -87,11 +86,9 @@ class Lifeline:
         return bool(self._pidfd.poll(timeout_ms))
 
 
-STALE_NS, STALE_NS_NO_RT = 30_000_000, 60_000_000
-"""Age of a heartbeat that trips [ns], with SCHED_FIFO or without."""
+STALE_NS, STALE_NS_NO_RT = 30_000_000, 60_000_000  # age that trips [ns], with SCHED_FIFO and not
 PAUSE_NS = 15_000_000  # between two beats of the guardian [ns]; more is a pause of its own
-OUTGOING, OUTGOING_BYTES = OFFSET + MUTEX_BYTES, 256
-"""Where the outgoing bytes lie; a tick that moves the car writes some 60."""
+OUTGOING, OUTGOING_BYTES = OFFSET + MUTEX_BYTES, 256  # a tick that moves the car writes some 60
 PAGE_BYTES = OUTGOING + OUTGOING_BYTES
 
 

@@ -109,8 +109,7 @@ def realtime_section(priority: int = FIFO_PRIORITY) -> Iterator[RealtimeReport]:
             os.sched_setscheduler(0, *before)
 
 
-P999_LIMIT_NS = 2_000_000
-"""One wake of 1000 may be this late (`docs/reference/safety-requirements.md#s8.3`)."""
+P999_LIMIT_NS = 2_000_000  # for one wake of 1000 (`docs/reference/safety-requirements.md#s8.3`)
 
 
 class Wakes(NamedTuple):

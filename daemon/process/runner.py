@@ -35,8 +35,7 @@ CLOCK_NS = 1_000_000_000  # time between two clock messages
 _PACKETS_MAX = 32  # requests read from a socket at once: a flood of them must not delay the tick
 _DESIGNS_MAX = 4  # proposals of the learner read after a tick
 _KEY_BYTES = 64  # room for the topic name in a request
-LEAVE_SIGNALS = 3
-"""So many stop signals end the process at once; the guardian brakes what still moves."""
+LEAVE_SIGNALS = 3  # so many stop signals end the process at once; the guardian brakes what moves
 ABORT_NS, ORPHAN_NS = 2_000_000_000, 6_000_000_000
 """A second signal, or the parent's end, ends the process after this, whatever its state."""
 
@@ -107,8 +106,8 @@ class Runner:
             self._housekeeping(after)
             pace = step_pace(pace, due, self._pose_ns, self._period_ns)
             due += self._period_ns + pace.shift_ns
-            if after > due:
-                due += (after - due) // self._period_ns * self._period_ns
+            if now > due:  # not by `after`: a tick that took too long makes the next one late
+                due += (now - due) // self._period_ns * self._period_ns
         self._leave()
 
     def _is_done(self) -> bool:
@@ -323,32 +322,33 @@ class Runner:
         engaged = last is not None and last.supervisor.state.engaged
         page.write_heartbeat(tick_ns, engaged)
         staged: bytes | memoryview = wire
-        if last is not None and last.order.command is not None:
-            staged = page.stage(wire)
-            if not self._guard.may_write(tick_ns, self._clock.now_ns()):
-                self._core.flags |= Flag.GUARDIAN_TRIPPED
-                return b""
         try:
+            self._check_queue(self._port, engaged)
+            if last is not None and last.order.command is not None:
+                staged = page.stage(wire)
+                if not self._guard.may_write(tick_ns, self._clock.now_ns()):
+                    self._core.flags |= Flag.GUARDIAN_TRIPPED
+                    return b""
             if wire:
                 self._port.write(staged)
-            clogged = self._is_clogged(self._port, engaged)
         except LinkDown:
             self._lose_port()
             return b""
-        if clogged:
-            self._lose_port()
         return wire
 
-    def _is_clogged(self, port: Port, engaged: bool) -> bool:
-        """Whether an armed car's device has not taken its bytes for some ticks (W8).
+    def _check_queue(self, port: Port, engaged: bool) -> None:
+        """Look whether an armed car's device has taken the bytes of the last tick (W8).
+
+        Not those of this one: Linux counts a USB write on its way as a whole buffer, 1280 bytes.
 
         Raises:
-            LinkDown: the device is gone.
+            LinkDown: it has not for some ticks, or is gone.
         """
         th = self._core.loop.plan.settings.thresholds
         waits = engaged and port.out_queue() > th.out_queue
         self._clogged = self._clogged + 1 if waits else 0
-        return self._clogged >= th.out_ticks
+        if self._clogged >= th.out_ticks:
+            raise LinkDown(port.url, "the device takes no bytes")
 
     def _lose_port(self) -> None:
         port, self._port = self._port, None

@@ -20,8 +20,7 @@ HELP = """\
 [a] [d] or arrows: move   [A] [D]: move far   [w]rite   [q]uit
 set here: [c]entre   [l]eft stop   [r]ight stop"""
 STEP, FAR = 0.005, 0.05  # servo positions per key press [-]; the whole range is 0 to 1
-KEY_WAIT_S = 0.1
-"""The position is sent again after this long without a key [s]; the VESC's timeout is longer."""
+KEY_WAIT_S = 0.1  # without a key the position is sent again [s]; the VESC's timeout is longer
 ESCAPE_NS = 20_000_000  # the three bytes of an arrow key arrive within this time [ns]
 _MOVES = {"a": -STEP, "d": STEP, "A": -FAR, "D": FAR, "\x1b[D": -STEP, "\x1b[C": STEP}
 _ENDS = ("w", "q", "\x03", "\x04")

@@ -45,7 +45,7 @@ TRACES = {
     "W5": trace("_check_poses", "nis_frames nis_share nis_window mocap_rate", "C13 P6"),
     "W6": trace("_check_estimate", "sigma_position sigma_yaw", "C6 P5"),
     "W7": trace("_check_vesc", "telemetry_warn telemetry", "V4 P5", also="live: VESC mute"),
-    "W8": trace("process.runner:Runner._is_clogged", "out_queue out_ticks",
+    "W8": trace("process.runner:Runner._check_queue", "out_queue out_ticks",
           "V1 P5", also="`test_runner.py`; live: unplugged"),
     "W9": trace("_step_vesc", "", "V18 P5"),
     "W10": trace("_check_vesc", "", "V19 P5", also="live: kill switch"),

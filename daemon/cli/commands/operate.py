@@ -14,7 +14,7 @@ from steerd.daemon.cli.arguments import add_car_arguments, option
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.screen import wrap
 from steerd.daemon.ipc.requests import make_badge
-from steerd.daemon.ipc.signals import raise_on_stop_signals
+from steerd.daemon.ipc.signals import is_left, raise_on_stop_signals
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import bus_operator
 from steerd.daemon.process.bus_operator import KEEPALIVE_NS, CarView, connect, read_model
@@ -34,7 +34,6 @@ _WANTED = {
     RequestKind.START: (SupervisorState.RUNNING,),
     RequestKind.DISARM: (SupervisorState.STOPPING, SupervisorState.DISARMED, SupervisorState.READY),
     RequestKind.CLEAR: (SupervisorState.DISARMED, SupervisorState.READY),
-    **bus_operator.STOPS,
 }
 
 
@@ -111,6 +110,8 @@ class _Link:
         while not done():
             if (now := clock.now_ns()) > end:
                 return False
+            if hold and is_left():  # nobody is there who could press Ctrl-C
+                raise KeyboardInterrupt
             if hold and now - self._alive_ns >= KEEPALIVE_NS:
                 self._alive_ns = now
                 self.send(RequestKind.KEEPALIVE)

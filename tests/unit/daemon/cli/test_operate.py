@@ -1,5 +1,6 @@
 """`steerd arm`, `start`, `stop`, `estop` on an in-process bus, and what `status` says."""
 
+import os
 from contextlib import nullcontext
 from types import SimpleNamespace
 
@@ -103,6 +104,30 @@ def test_what_the_car_does_not_do_is_not_confirmed(bench, cli, line, state, leas
     car = bench(state=state, leased=leased)
     car.deaf = 10_000
     assert f"{line.split()[0]}: the car stays {state}" in cli(*line.split(), code=5).err
+
+
+@pytest.mark.parametrize(("line", "state", "last"), [
+    ("arm", "READY", RequestKind.DISARM), ("start", "ARMED", RequestKind.STOP),
+])  # fmt: skip
+def test_who_is_left_alone_lets_go(bench, monkeypatch, line, state, last):
+    """`ssh car steerd start`: Ctrl-C ends the ssh, and what it started gets no signal."""
+    car, (reader, writer), shown = bench(state=state), os.pipe(), os.dup(1)
+    sleep_until_ns = car.sleep_until_ns
+
+    def sleep(deadline_ns):
+        sleep_until_ns(deadline_ns)
+        if car.t_ns == 3 * 10**9:
+            os.close(reader)
+        assert car.t_ns < 4 * 10**9, "nobody holds the car any more"
+
+    monkeypatch.setattr(car, "sleep_until_ns", sleep)
+    os.dup2(writer, 1)
+    os.close(writer)
+    code = run_cli([line])
+    os.dup2(shown, 1)
+    os.close(shown)
+    sleep_until_ns(car.t_ns)
+    assert (code, car.asked[-1][2]) == (ExitCode.INTERRUPTED, last)
 
 
 STOPPING = pytest.mark.parametrize("name", ["stop", "estop"])

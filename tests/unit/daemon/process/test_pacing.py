@@ -2,7 +2,6 @@
 
 import gc
 import os
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +16,7 @@ from steerd.daemon.process import realtime
 from steerd.daemon.process.guard import LEAST_NS, find_cause, parse_steal
 from steerd.daemon.process.guardian import PERIOD_NS
 from steerd.daemon.process.pacing import MARGIN, SLEW, STEADY, Pace, early_window_ns, step_pace
-from steerd.daemon.process.realtime import keep_busy, measure_wakes, summarise_wakes
+from steerd.daemon.process.realtime import measure_wakes, summarise_wakes
 
 MS = 1_000_000
 TICKS = 2000
@@ -206,19 +205,6 @@ def test_stolen_time_of_all_processors():
     assert parse_steal(STAT, 100) == 420 * MS
     for other in ("cpu 1 2 3 4\n", "", "intr 1 2 3 4 5 6 7 8 9\n", "cpu 1 2 3 4 5 6 7 x 9\n"):
         assert parse_steal(other, 100) == 0, other
-
-
-def test_a_machine_is_kept_busy_and_let_go(monkeypatch):
-    started, start = [], subprocess.Popen
-
-    def note(command):
-        started.append(start(command))
-        return started[-1]
-
-    monkeypatch.setattr(realtime.subprocess, "Popen", note)
-    with keep_busy(2):
-        assert [process.poll() for process in started] == [None, None]
-    assert [process.poll() for process in started] == [-9, -9]
 
 
 def test_a_missed_deadline_is_skipped_and_never_caught_up():

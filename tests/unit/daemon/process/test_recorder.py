@@ -98,6 +98,7 @@ def test_the_exit_code_is_the_cores_or_the_recorders(core, recorder, viewer, cod
     began = {name: subprocess.Popen(["sh", "-c", f"exit {each}"]) for name, each in codes.items()}
     children = {name: SimpleNamespace(process=process) for name, process in began.items()}
     run = RunProcesses(children, {"requests": ours.detach()}, {})
+    assert not run.requests.getblocking(), "a core that is frozen does not freeze its terminal"
     assert run.end() == code
     assert theirs.recv(1) == b""  # the core's end of the requests sees that nobody asks any more
     theirs.close()

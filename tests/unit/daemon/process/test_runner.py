@@ -16,7 +16,6 @@ from steerd.daemon.ipc.requests import pack_request
 from steerd.daemon.loop.adapting import DESIGN_BYTES
 from steerd.daemon.loop.core import make_core
 from steerd.daemon.loop.findings import CAUSES, Flag, Severity
-from steerd.daemon.loop.supervisor import NEVER, STILL_NS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import guard as guard_module
 from steerd.daemon.process.bus_operator import Operator
@@ -74,20 +73,25 @@ def engage(r):
     r.core.last = Mock(supervisor=Mock(state=SupervisorState.ARMED), order=Mock(command=None))
 
 
+def test_w8_a_write_that_is_still_on_its_way_is_none(r):
+    """The kernel's USB serial driver counts a whole buffer for it; a tick later it has left."""
+    engage(r)
+    r.port.write.side_effect = lambda _: setattr(r.port.out_queue, "return_value", 1280)
+    for _ in range(9):
+        r.it._write(b"x", 0)
+        r.port.out_queue.return_value = 0
+    assert r.core.flags == Flag.LINKED
+
+
 def test_w8_three_ticks_with_unsent_bytes_are_a_lost_link(r):
     r.port.out_queue.return_value = 257
     for _ in range(9):
         r.it._write(b"x", 0)
     assert r.core.flags == Flag.LINKED, "a disarmed car is not checked"
     engage(r)
-    for _ in range(2):
-        r.it._write(b"x", 0)
-    r.port.out_queue.return_value = 256
-    r.it._write(b"x", 0)
-    assert r.core.flags == Flag.LINKED, "the third tick found room: counting begins anew"
-    r.port.out_queue.return_value = 257
-    for k in range(3):
-        assert r.core.flags == Flag.LINKED, k
+    for waiting in (257, 257, 256, 257, 257, 257):
+        assert r.core.flags == Flag.LINKED, "a tick that found room: counting begins anew"
+        r.port.out_queue.return_value = waiting
         r.it._write(b"x", 0)
     assert r.core.flags == Flag.SERIAL_FAULT
     assert r.port.close.called
@@ -129,7 +133,7 @@ def piped(plan):
 
 def write_until_lost(r, which, size, most_s=60):
     """Write a batch every 10 ms: when nothing was taken any more, and when a flag was set [ns]."""
-    pipe, full_ns = r.pipes[which], None
+    pipe, full_ns, r.it._is_cut_off = r.pipes[which], None, lambda _t_ns: False
     for t_ns in range(0, most_s * SECOND, 10 * MS):
         if pipe.dropped and full_ns is None:
             full_ns = t_ns - 10 * MS
@@ -198,7 +202,7 @@ LOCAL, REMOTE = 0, 1  # whose socket: the parent's, the gateway's
 
 @pytest.mark.parametrize(("who", "answers", "found"), [
     (REMOTE, (0, 42), False), (REMOTE, (0,), True), (REMOTE, (0, 7), True),
-    (LOCAL, (0,), False), (LOCAL, (), False),
+    (LOCAL, (0,), False), (LOCAL, (), True),
 ])  # fmt: skip
 def test_w27_the_holder_on_the_bus_hears_no_heartbeat(piped, make_ends, who, answers, found):
     """An operator keeps the lease; the gateway (lease 0) and others send heartbeats back."""
@@ -252,13 +256,12 @@ def test_the_guardian_keeps_what_still_moves(r, state, lost):
     assert lost or (bool(r.port.sent) is clean and r.port.close.called)
 
 
-@pytest.mark.parametrize(("state", "still_ns", "opened"), [
-    ("ESTOP", -STILL_NS, True), ("ESTOP", NEVER, False), ("RUNNING", -STILL_NS, False),
+@pytest.mark.parametrize(("state", "opened"), [
+    ("ESTOP", True), ("FAULT_STOP", True), ("ARMED", False), ("RUNNING", False),
 ])  # fmt: skip
-def test_a_port_comes_back_after_an_emergency_stop_at_rest(r, state, still_ns, opened):
+def test_a_port_comes_back_while_a_car_is_braked_but_not_while_it_is_driven(r, state, opened):
     r.it._lose_port()
-    now = {"state": SupervisorState[state], "still_ns": still_ns}
-    r.core.loop.supervisor = changed(r.core.loop.supervisor, **now)
+    r.core.loop.supervisor = changed(r.core.loop.supervisor, state=SupervisorState[state])
     r.it._try_open(0)
     assert bool(r.core.flags & Flag.LINKED) is opened
 
@@ -437,6 +440,17 @@ def test_a_pose_makes_one_tick_only(monkeypatch):
     it._is_done = lambda: len(early) >= 400
     it.run()
     assert all(early)
+
+
+@pytest.mark.parametrize(("work_ms", "late"), [(9, False), (12, True), (28, True), (59, True)])
+def test_w15_a_tick_that_takes_too_long_makes_the_next_one_late(monkeypatch, work_ms, late):
+    """A loop that cannot keep its rate is no loop that skips what it missed and is in time."""
+    world, seen = World(10 * MS), []
+    it = runner_with(monkeypatch, world, [])
+    it._write = lambda wire, _t_ns: setattr(world, "t_ns", world.t_ns + work_ms * MS) or wire
+    it._set_flags, it._is_done = seen.append, lambda: len(seen) >= 60
+    it.run()
+    assert all(late_ns > 10 * MS for late_ns in seen[-30:]) is late
 
 
 @pytest.mark.parametrize("flag", [Flag.RECORDER_LOST, Flag.GATEWAY_LOST])
