@@ -193,7 +193,8 @@ def test_a_port_that_an_unarmed_core_lets_go_is_guarded_no_longer(page):
     assert wait_for_fault(page, Core(99), STALE_NS, Times(0, STALE_NS + 1)), "armed: it stays"
 
 
-def test_guardian_stands_alone():
+def test_guardian_is_small_and_stands_alone():
+    assert len(Path(guardian.__file__).read_text(encoding="utf-8").splitlines()) <= 150
     code = (
         "import sys; import steerd.daemon.process.guardian;"
         "print([m for m in sys.modules if m.split('.')[0] in"
