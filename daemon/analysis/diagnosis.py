@@ -163,11 +163,7 @@ diagnose = asked.by_keywords("diagnosing", DiagnoseOptions, run_diagnose)
 def make_case(
     paths: Sequence[Path], options: DiagnoseOptions, watch: asked.Watch
 ) -> tuple[Drives, engine.Case, CarFile]:
-    """The drives, what is diagnosed of them and the car.
-
-    Raises:
-        SteerdError: a session, the car file or an option cannot be used.
-    """
+    """The drives, what is diagnosed of them and the car; a SteerdError for what cannot be used."""
     only, without = asked.read_effects(options.only), asked.read_effects(options.without)
     held_out, quiet = asked.read_held_out(options.held_out), asked.list_sessions(options.healthy)
     if only and not set(only) - set(without):
@@ -207,11 +203,7 @@ def find_base(
 ) -> tuple[CarFile, str, tuple[str, ...]]:
     """The car or car file named, else the one inside the first session, else the default.
 
-    Returns:
-        The car, where it comes from, notes.
-
-    Raises:
-        SteerdError: the one that counts cannot be used.
+    With it where it comes from, and notes; a SteerdError where it cannot be used.
     """
     if named is not None:
         base = asked.read_car(named)

@@ -117,11 +117,7 @@ class Drives:
 
 
 def load_drive(path: Path, speed: Speed, watch: Watch) -> tuple[Session, Run]:
-    """A session and its drive.
-
-    Raises:
-        SteerdError: it cannot be read, or is not fit for a fit.
-    """
+    """A session and its drive; a SteerdError where it cannot be read, or is not fit for a fit."""
     session = load_session(path)
     damage = session.info().warnings
     watch.warn([f"{path.name}: {each}" for each in damage])
@@ -178,11 +174,7 @@ def is_same(one: Path, other: Path) -> bool:
 
 
 def refuse_copies(paths: Sequence[Path]) -> None:
-    """A drive that counts twice passes for more data than there are.
-
-    Raises:
-        SteerdError: one drive is named twice.
-    """
+    """A SteerdError where one drive is named twice: it would pass for more data than there are."""
     for one, other in combinations(paths, 2):
         if is_same(one, other):
             copy = f"{other} is a copy of {one}" if one != other else f"{one} is named twice"
@@ -194,8 +186,7 @@ def without_reserved(
 ) -> tuple[Path, ...]:
     """The sessions that are not held out: of `*.mcap` those that no other option names.
 
-    Raises:
-        SteerdError: one drive is named twice, or none is left for the `purpose`.
+    A SteerdError where one drive is named twice, or none is left for the `purpose`.
     """
     refuse_copies(reserved)
     refuse_copies(given)

@@ -42,9 +42,7 @@ Values = Mapping[str, tuple[float, ...]]
 def compare_lane(session: Session, base: CarFile, found: Values) -> LaneComparison:
     """Drive a session's lane again, on the base car and with the effects that were found on it.
 
-    Raises:
-        SteerdError: there is no lane drive to compare with, or the session's own car file or path
-            is refused now.
+    A SteerdError says why there is no lane drive that can be driven again.
     """
     options, name = _options_of(session), session.info().path.name
     try:

@@ -38,10 +38,8 @@ def learn_session(
 ) -> Learnt:
     """Feed a recorded drive to the learner, about a car file or that inside the session.
 
-    `share` is handed the share of the session that was read.
-
-    Raises:
-        SteerdError: session or car file cannot be used, or too little was driven for a report.
+    `share` hears the share of the session that was read. A SteerdError where session or car file
+    cannot be used, or too little was driven for a report.
     """
     session = load_session(path)
     base, source, _ = find_base(car, (session,))

@@ -190,11 +190,7 @@ class HeldOut(NamedTuple):
 
 
 def read_held_out(given: HeldOutSource) -> HeldOut:
-    """What is held out.
-
-    Raises:
-        SteerdError: the number makes no sense, or stands beside files.
-    """
+    """What is held out; a SteerdError where the number makes no sense, or stands beside files."""
     listed = _listed(() if given is None else given)
     numbers = [each for each in listed if isinstance(each, int)]
     files = list_sessions([each for each in listed if not isinstance(each, int)])
@@ -227,11 +223,7 @@ def read_effects(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def read_car(given: CarSource) -> CarFile:
-    """A car; the F1TENTH car for None.
-
-    Raises:
-        SteerdError: the car file cannot be read, or says something impossible.
-    """
+    """A car; the F1TENTH car for None; raises as `load_car_file`."""
     if isinstance(given, CarFile):
         return given
     return given.car if isinstance(given, Finding) else load_car_file(given)

@@ -72,11 +72,7 @@ class RunPlan:
 
     @cached_property
     def controller(self) -> LaneController:
-        """The lane keeper, designed for this run once.
-
-        Raises:
-            SteerdError: the design is refused, with the reason.
-        """
+        """The lane keeper, designed for this run once; a SteerdError says why it is refused."""
         from steerd.controller.design import DesignRefused
 
         car, config = make_design_car(self.settings), self.settings.controller
@@ -109,11 +105,7 @@ class RunPlan:
 
     @cached_property
     def sim(self) -> Settings:
-        """The settings of the simulated car; those of the car file unless `--sim-car` differs.
-
-        Raises:
-            SteerdError: the simulated car's file is refused.
-        """
+        """The settings of the simulated car, see `load_sim_car`; without `--sim-car` the car's."""
         if self.drawn is not None:
             return self.drawn
         return load_sim_car(self.options.sim_car) if self.options.sim_car else self.settings
@@ -232,8 +224,7 @@ def make_design_car(settings: Settings) -> Car[float]:
 def plan_car(car: CarFile) -> RunPlan:
     """A plan at the file's own speed on a path that every such car can drive; its design too.
 
-    Raises:
-        SteerdError: it holds no car that can be driven, or one without a stable controller.
+    A SteerdError where the car cannot be driven, or has no stable controller.
     """
     settings = make_settings(car)
     options = RunOptions(str(car.path), path="circle:radius=3", speed=settings.controller.speed)
@@ -254,8 +245,7 @@ def make_world_config(
 ) -> WorldConfig:
     """Simulated hardware for a plan: the simulated car, with the effects of the options.
 
-    Raises:
-        SteerdError: the simulated car's file or an effect is refused.
+    Raises as `load_sim_car` and `make_true_model`.
     """
     from steerd.sim_hw.mocap.cameras import MocapConfig
     from steerd.sim_hw.vesc.vesc_motor import VescConfig

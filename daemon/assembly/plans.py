@@ -105,8 +105,7 @@ class Drill:
 def parse_box(text: str) -> Box:
     """A box from `SIDE` (a square about the origin) or `X_MIN,Y_MIN,X_MAX,Y_MAX`.
 
-    Raises:
-        ValueError: it is neither.
+    A ValueError for any other text.
     """
     try:
         numbers = [float(part) for part in text.split(",")]
@@ -241,8 +240,7 @@ def make_open_drill(
 ) -> Drill:
     """The plan with the widest orbits that fit the box; without one, for the full `speed` [m/s].
 
-    Raises:
-        ValueError: no orbit fits.
+    A ValueError where no orbit fits.
     """
     room = 1.0 + (SWING if name == "circles" else _swing_share(name))
     radius = _RADIUS_MARGIN * speed**2 * room / limits.lateral_accel_max
@@ -265,8 +263,7 @@ def make_open_drill(
 def make_closed_path(box: Box | None) -> str:
     """The lane keeper's path under a probe: a figure eight if the box has room, else a circle.
 
-    Raises:
-        ValueError: the box is too small for either.
+    A ValueError where the box is too small for either.
     """
     if box is None:
         return f"figure8:radius={PROBE_RADIUS}"
@@ -280,12 +277,9 @@ def make_closed_path(box: Box | None) -> str:
 
 
 def parse_drill(spec: str, car: Car[float], limits: Limits) -> Drill:
-    """A drill from text such as `mixed;open;speed=2.5;box=8`.
+    """A drill from text such as `mixed;open;speed=2.5;box=8`; a ValueError if that makes no sense.
 
     Closed loop it is a probe: its steering is added to the lane keeper's, speeds are shares of its.
-
-    Raises:
-        ValueError: it makes no sense.
     """
     name, *rest = spec.split(";")
     if name not in NAMES:

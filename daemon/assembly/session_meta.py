@@ -122,8 +122,7 @@ _parse_once = lru_cache(maxsize=8)(parse_car)  # several parts of one command as
 def recorded_path(session: Session, spec: str) -> Iterator[str]:
     """The path's spec, with the file that it names taken from the session, never from this disk.
 
-    Raises:
-        SessionError: the session does not hold the file.
+    A SessionError where the session does not hold the file.
     """
     if csv_file(spec) is None:
         yield spec

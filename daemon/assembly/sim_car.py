@@ -36,11 +36,7 @@ _STREAM = 17  # keeps these numbers apart from those of the simulated instrument
 
 
 def load_sim_car(spec: str) -> Settings:
-    """The true car of a simulation, by a car file or `hidden:SEED`.
-
-    Raises:
-        SteerdError: the file cannot be used, or the seed is none.
-    """
+    """The true car of a simulation, by a car file or `hidden:SEED`; a SteerdError for neither."""
     if not spec.startswith(HIDDEN):
         return load_settings(spec)
     seed = spec.removeprefix(HIDDEN)
@@ -62,8 +58,7 @@ def load_sim_car(spec: str) -> Settings:
 def make_true_model(settings: Settings, effects: tuple[str, ...]) -> Model[float]:
     """The simulated car: that of the settings, with the effects of `--effect` added.
 
-    Raises:
-        SteerdError: an effect is unknown or its value is invalid.
+    A SteerdError where an effect is unknown or its value is invalid.
     """
     file = settings.file
     with refusing("--effect: ", "`steerd effects` lists them"):

@@ -39,11 +39,7 @@ class Issuer(NamedTuple):
 
 
 def load_members(folder: Path) -> Lab:
-    """The lab of a folder, as its authority knows it.
-
-    Raises:
-        SteerdError: there is none.
-    """
+    """The lab of a folder, as its authority knows it; a SteerdError where there is none."""
     try:
         return read_members(folder / AUTHORITY)
     except BusError as error:
@@ -54,10 +50,8 @@ def load_members(folder: Path) -> Lab:
 def add_members(folder: Path, old: Lab, lab: Lab, years: float, host: str | None) -> None:
     """Make folders for new people, who stand last in `lab`, and write the members into each folder.
 
-    Of a lab that begins, `host` is the car's address: its authority and its car are made too.
-
-    Raises:
-        SteerdError: a name cannot be used, or a folder or file is there already.
+    Of a lab that begins, `host` is the car's address: its authority and its car are made too. A
+    SteerdError where a name cannot be used, or a folder or file is there already.
     """
     added = (*lab.operators[len(old.operators) :], *lab.viewers[len(old.viewers) :])
     known = {old.car, *old.operators, *old.viewers}

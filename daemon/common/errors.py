@@ -91,8 +91,7 @@ def make_car_file_error(error: "CarFileError") -> SteerdError:
 def load_car_file(path: "Path | str | None") -> "CarFile":
     """A car file that somebody named, F1TENTH's for None, with what identify knows of the car.
 
-    Raises:
-        SteerdError: it cannot be read, or says something impossible.
+    A SteerdError where it cannot be read, or says something impossible.
     """
     from steerd.car_model.car_file import CarFileError, default_car_path, load_car
 
@@ -110,12 +109,9 @@ def make_session_error(error: "SessionError", hint: str = "") -> SteerdError:
 
 @contextmanager
 def reading(name: object, hint: str = "") -> Iterator[None]:
-    """The one guard around what reads a file from elsewhere: its content raises one line.
+    """The one guard around what reads a file from elsewhere: its bad content is a SteerdError.
 
     `hint` is what to try where the error has none of its own.
-
-    Raises:
-        SteerdError: it holds what cannot be read.
     """
     from steerd.steer_bus.session_read import SessionError
 

@@ -47,11 +47,7 @@ def _as_argument(option: re.Match[str]) -> str:
 
 
 def load_package(name: str) -> Any:
-    """A package that only notebooks need.
-
-    Raises:
-        SteerdError: it is not installed.
-    """
+    """A package that only notebooks need; a SteerdError where it is not installed."""
     try:
         return import_module(name)
     except ImportError:
@@ -80,11 +76,7 @@ def notebook_progress(label: str, total: float) -> Iterator[Step]:
 
 
 def make_frame(columns: Mapping[str, Any], units: Mapping[str, str]) -> "pandas.DataFrame":
-    """A data frame; `attrs["units"]` holds the units by column.
-
-    Raises:
-        SteerdError: pandas is not installed.
-    """
+    """A data frame, `attrs["units"]` its units by column; a SteerdError without pandas."""
     frame: pandas.DataFrame = load_package("pandas").DataFrame(columns)
     frame.attrs["units"] = {name: units[name] for name in columns if units.get(name)}
     return frame

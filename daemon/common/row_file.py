@@ -44,10 +44,9 @@ class RowFile:
         return {name: (basis, json.loads(row)) for name, basis, row in found}
 
     def write(self, name: str, basis: str, row: Row) -> None:
-        """Keep a row in place of the one of that name; a process that is killed later loses it not.
+        """Keep a row in place of the one of that name; an sqlite3.Error where the disk is full.
 
-        Raises:
-            sqlite3.Error: the disk takes no more.
+        A process that is killed later does not lose it.
         """
         values = (name, basis, json.dumps(row))
         self._file.execute("INSERT OR REPLACE INTO rows VALUES (?,?,?)", values)

@@ -114,11 +114,7 @@ def _are(paths: Collection[Path]) -> str:
 def write_outputs(
     texts: Mapping[Path | None, str | bytes | None], *, announced: bool = False
 ) -> None:
-    """Write every result, see `writing`: content by file, without those of which one is None.
-
-    Raises:
-        SteerdError: every file that failed in one line, after the others were written.
-    """
+    """Write every result, content by file, see `writing`; not those of which one is None."""
     with writing({}, announced=announced) as write:
         for path, text in texts.items():
             write(path, text)
@@ -229,11 +225,7 @@ def _is_session(path: Path) -> bool:
 
 
 def write_whole(path: Path, text: str | bytes) -> None:
-    """Write a file in one move, so that nobody ever sees half of it.
-
-    Raises:
-        SteerdError: it or its folder cannot be written.
-    """
+    """Write a file in one move, never half of it; a SteerdError where that is not possible."""
     try:
         write_atomically(path, text)
     except OSError as error:

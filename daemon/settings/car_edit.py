@@ -25,11 +25,7 @@ Values = Mapping[tuple[str, str], float | str]  # new values by (section, key)
 
 
 def edit_car(base: CarFile, values: Values) -> CarFile:
-    """The car file with new values; sections and keys that it lacks are added.
-
-    Raises:
-        SteerdError: the result would not be a valid car file.
-    """
+    """The car file with new values, added where it lacks them; a SteerdError if that is no car."""
     document = tomlkit.parse(base.text)
     edit_document(document, values)
     try:
@@ -67,9 +63,7 @@ _SPEED_MIN = re.compile(r"^(\s*speed_min\s*:\s*)[^\s#]+", re.MULTILINE)
 def read_vesc_yaml(text: str, base: Scaling) -> Scaling:
     """The calibration of a `vesc.yaml`; what it does not name comes from `base`.
 
-    Raises:
-        SteerdError: it names none of the gains, gives one twice with different values, or gives
-            an invalid value.
+    A SteerdError where it names no gain, one twice with different values, or an invalid value.
     """
     found: dict[str, float] = {}
     for match in _LINE.finditer(text):

@@ -99,21 +99,14 @@ JUMP_SDS = 7.0  # standard deviations of a pose by which two may differ: five of
 
 
 def load_settings(path: Path | str | None, speed: float | None = None) -> Settings:
-    """Read a car file, F1TENTH's for None, and check every section.
-
-    `speed` [m/s] replaces the file's cruise speed.
-
-    Raises:
-        SteerdError: the file cannot be read, or a value is invalid; names it and the remedy.
-    """
+    """Read a car file, F1TENTH's for None, and check every section; raises as `make_settings`."""
     return make_settings(load_car_file(path), speed)
 
 
 def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
-    """The settings of a car file that was read.
+    """The settings of a car file that was read; `speed` [m/s] replaces its cruise speed.
 
-    Raises:
-        SteerdError: a section or a key is mistyped, a value is invalid, or two contradict.
+    A SteerdError where a section or a key is mistyped, a value is invalid, or two contradict.
     """
     for name in car_file.sections:  # one that is named nearly as another: its limits would not hold
         near = find_near(name, _SECTIONS)
@@ -221,8 +214,7 @@ FRAME_ANGLES = ("world_yaw", "mount_yaw")  # of a `FrameConfig`; tables give deg
 def read_frame(table: Mapping[str, Any]) -> FrameConfig:
     """Room and body, as `[mocap]` of a car file and `[frame]` of an import's map say them.
 
-    Raises:
-        ValueError: a key or a value is none.
+    A ValueError where a key or a value is none.
     """
     angles = {f"{name}_deg": name for name in FRAME_ANGLES}
     values = dict(table)

@@ -55,11 +55,7 @@ def encode_options(options: RunOptions) -> str:
 
 
 def decode_options(text: str) -> RunOptions:
-    """The options of `encode_options`.
-
-    Raises:
-        msgspec.ValidationError: if the text is not such options.
-    """
+    """The options of `encode_options`; a msgspec.ValidationError for another text."""
     return msgspec.json.decode(text, type=RunOptions)
 
 

@@ -47,11 +47,7 @@ class Drive:
 
 
 def load_recorded(path: Path) -> Recorded:
-    """Read a session for calibration.
-
-    Raises:
-        SteerdError: it cannot be read, or lacks poses.
-    """
+    """Read a session for calibration; a SteerdError where it cannot be read, or lacks poses."""
     read = load_recording(path)
     try:
         settings = make_settings(read_session_car(read.session))
@@ -81,9 +77,7 @@ def load_movement(path: Path) -> tuple[Movement, int]:
 def make_drive(r: Recorded) -> Drive:
     """Poses of the body's own origin and reported speed for `calibrate_mount`.
 
-    Raises:
-        SteerdError: the session holds no wheel speed; or it is an imported log, whose poses are
-            already those of the car.
+    A SteerdError without wheel speed, or for an imported log, whose poses are the car's already.
     """
     p, vesc, wheel = r.poses, r.read.table(topics.VESC), r.read.table(topics.WHEEL)
     if not np.isfinite(p["z_raw"]).all():

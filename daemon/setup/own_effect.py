@@ -30,14 +30,10 @@ _STEPS, _STEP = 300, 0.01
 
 
 def add_effect(source: Path) -> tuple[str, ...]:
-    """Build the library with the effects of a file; the file of that name before is replaced.
+    """Build the library with the effects of a file, in place of one of that name; their names.
 
-    Returns:
-        Their names.
-
-    Raises:
-        SteerdError: the file has none, one breaks the rules, or the library cannot be built; the
-            library is then as it was.
+    A SteerdError where the file has none, one breaks the rules, or the library cannot be built,
+    which then is as it was.
     """
     found = _read(source)
     for effect in found:
@@ -52,8 +48,7 @@ def add_effect(source: Path) -> tuple[str, ...]:
 def remove_effect(source: Path) -> tuple[str, ...]:
     """Build the library without the effects of a file of that name; none is added.
 
-    Raises:
-        SteerdError: none was added, or the library cannot be built and is as it was.
+    A SteerdError where none was added, or the library cannot be built and is as it was.
     """
     target = _place(source)
     if not target.exists():

@@ -151,8 +151,7 @@ def ask_mocap(
 ) -> Iterator[MocapSeen]:
     """Listen to a source for a while, or to each NatNet server that answers a discovery.
 
-    Raises:
-        ValueError: the address is none.
+    A ValueError where the address is none.
     """
     for address in [named] if named else [f"natnet://{host}/-" for host in discover(clock)]:
         url = parse_mocap_url(address)
@@ -178,8 +177,7 @@ def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[Po
 def watch_movement(address: str, config: IngestConfig, seconds: float) -> tuple[Movement, int]:
     """The accepted poses of a car that is pushed for so long, and how many were rejected.
 
-    Raises:
-        SteerdError: the address is none, or no pose came from it.
+    A SteerdError where the address is none, or no pose came from it.
     """
     clock, samples = MonotonicClock(), []
     try:

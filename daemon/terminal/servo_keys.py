@@ -38,8 +38,7 @@ class Servo:
 def press(servo: Servo, key: str) -> Servo:
     """Apply one key. Positive angles are left; `servo_gain` gives their direction.
 
-    Raises:
-        ValueError: the limits would not be valid, e.g. one stop beyond the other.
+    A ValueError where the limits would not be valid, e.g. one stop beyond the other.
     """
     if key in _MOVES:
         return replace(servo, position=min(max(servo.position + _MOVES[key], 0.0), 1.0))
@@ -54,8 +53,7 @@ def press(servo: Servo, key: str) -> Servo:
 def steer_by_keys(url: str, scaling: Scaling, clock: Clock) -> Scaling | None:
     """Move the servo by keys until [w] (returns the new scaling) or [q] (returns None).
 
-    Raises:
-        SteerdError: no terminal, or the port cannot be used.
+    A SteerdError without a terminal, or where the port cannot be used.
     """
     servo = Servo(scaling.servo_offset, scaling)
     try:

@@ -37,11 +37,7 @@ _TIMES_KEPT = 2048  # arrival times kept per topic; more than a second of the fa
 
 
 def find_car(bus: ZenohBus, name: str | None) -> str:
-    """The named car, or the only one on the bus.
-
-    Raises:
-        SteerdError: no car is on the bus, not this one, or several and none is named.
-    """
+    """The named car, or the only one on the bus; a SteerdError without it, or for several."""
     cars = sorted(parts[0] for key in bus.alive(f"{ROOT}/*/alive") if (parts := split_key(key)))
     if name is not None and name in cars:
         return name

@@ -77,11 +77,7 @@ def identify(args: Namespace) -> int:
 
 
 def parse_fix(text: str) -> dict[str, float | None]:
-    """The values of `--fix` by name; None where a name stands alone.
-
-    Raises:
-        SteerdError: a value is no number.
-    """
+    """The values of `--fix` by name, None where a name stands alone; a SteerdError if no number."""
     fixed: dict[str, float | None] = {}
     for part in split_list(text):
         name, equals, number = part.partition("=")
@@ -166,8 +162,7 @@ def list_outputs(args: Namespace) -> dict[str, Path | None]:
 def present(found: Finding, args: Namespace, write: Write) -> CarFile | None:
     """Print the screen, write car, JSON and page; the car, None where none was asked for.
 
-    Raises:
-        SteerdError: a value is none that a car file may hold; the rest is written all the same.
+    Where a value is none that a car file may hold, a SteerdError after the rest is written.
     """
     text = json.dumps(found.to_json(), indent=1) + "\n"
     car, refused = None, None

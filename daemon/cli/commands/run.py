@@ -82,11 +82,7 @@ def add_drive_arguments(parser: ArgumentParser) -> None:
 
 
 def make_options(args: Namespace) -> RunOptions:
-    """Typed options from the command line.
-
-    Raises:
-        SteerdError: a combination makes no sense.
-    """
+    """Typed options from the command line; a SteerdError where a combination makes no sense."""
     for wrong, what, hint in _list_conflicts(args):
         if wrong:
             raise UsageError(what, hint)

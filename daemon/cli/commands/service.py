@@ -105,13 +105,10 @@ def _absolute(text: str, dest: str) -> str:
 
 
 def make_unit(command: Sequence[str], car: str, *, account: str = "") -> str:
-    """The text of the unit file that runs a command.
+    """The unit file that runs a command; a SteerdError for an argument that it cannot hold.
 
     `account` is who it runs as under the system's service manager; empty for one's own, which
     cannot change accounts or mounts.
-
-    Raises:
-        SteerdError: an argument cannot be written in a unit file.
     """
     _expect_writable((*command, car, account), "unit file", "\n\r\0")
     protected = _fill("protected.service", account=account) if account else ""
