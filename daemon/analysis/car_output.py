@@ -43,10 +43,8 @@ def make_car(
     """The base with new values by `parameter` or `effect.parameter`, for a file called `path`.
 
     What was known beyond the old values is left out, and `wiring` (see `find_wiring`) where it is
-    of a version whose settings were others: the result counts more.
-
-    Raises:
-        SteerdError: a value is none that a car file may hold.
+    of a version whose settings were others: the result counts more. A SteerdError where a value is
+    none that a car file may hold.
     """
     document = tomlkit.parse(base.text)
     for name in TABLES:  # of a car file from before they had a file of their own

@@ -208,11 +208,8 @@ LEAST = 5.0  # a gap is not identifiable from less driving than this [s]
 def split_drives(case: Case, held_out: HeldOut, speed: Speed, watch: Watch) -> Case:
     """The case with its drives cut to where the car moves, some to explain, some held out.
 
-    Those that are held out measure the shrinkage; whole sessions are opened later.
-
-    Raises:
-        DataError: there is too little driving.
-        SteerdError: there is too little to hold so much out.
+    Those that are held out measure the shrinkage; whole sessions are opened later. A DataError
+    where there is too little driving, a SteerdError where too little to hold so much out.
     """
     drives, every = case.runs, held_out.every
     parts = segments.moving_segments(drives)

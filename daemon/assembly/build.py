@@ -106,9 +106,8 @@ class RunPlan:
     @cached_property
     def sim(self) -> Settings:
         """The settings of the simulated car, see `load_sim_car`; without `--sim-car` the car's."""
-        if self.drawn is not None:
-            return self.drawn
-        return load_sim_car(self.options.sim_car) if self.options.sim_car else self.settings
+        spec = self.options.sim_car
+        return self.drawn or (load_sim_car(spec) if spec else self.settings)
 
     @cached_property
     def period_ns(self) -> int:
@@ -154,11 +153,8 @@ def make_plan(
     """Read the car file (unless its settings are given), the path, and design the controller.
 
     A drive of an excitation plan is as long as that, unless the options say how long.
-    `design`: False where another process will do that; `real`: of a drive in real time.
-
-    Raises:
-        SteerdError: any of them is refused, with the reason.
-        LibraryError: the compiled equations were not built.
+    `design`: False where another process will do that; `real`: of a drive in real time. A
+    SteerdError says why any of them is refused; a LibraryError, that no equations were compiled.
     """
     slowest = SLOWEST_HZ if options.port and not options.simulated else SLOWEST_SIMULATED_HZ
     if not slowest <= options.rate_hz <= FASTEST_HZ:

@@ -100,9 +100,7 @@ def make_attachments(plan: RunPlan) -> dict[str, str]:
 def read_session_car(session: Session) -> CarFile:
     """The car file inside a session, with what identify knew of the car.
 
-    Raises:
-        SessionError: there is none, or it is no text.
-        CarFileError: it cannot be used.
+    A SessionError where there is none, or it is no text; a CarFileError where it cannot be used.
     """
     texts = {}
     for name in ("car.toml", *({ATTACHED} & {*session.info().attachments})):

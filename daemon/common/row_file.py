@@ -9,14 +9,10 @@ Row = dict[str, Any]  # values by column, each a number, a text, a truth value o
 
 
 class RowFile:
-    """Rows by name, each with what it depends on.
+    """Rows by name, each with what it depends on; without a path they are kept in memory.
 
-    Args:
-        path: the file; None keeps the rows in memory.
-        alone: nobody else opens it meanwhile.
-
-    Raises:
-        sqlite3.Error: it is something else, is in use, or cannot be opened.
+    `alone`: nobody else opens it meanwhile. An sqlite3.Error where the file is something else, is
+    in use, or cannot be opened.
     """
 
     def __init__(self, path: Path | None, *, alone: bool = False) -> None:

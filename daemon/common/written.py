@@ -34,12 +34,8 @@ _REMEMBERED = 10_000  # digests kept, the latest ones: 650 kB
 def write_output(path: Path, text: str | bytes) -> Path | None:
     """Write a result, whole or not at all; keep what is there if steerd did not write it.
 
-    Returns:
-        Where the old content is now, or None: there was none, it was the same, or a page or a
-        table of steerd's.
-
-    Raises:
-        SteerdError: it cannot be written; the old content is then where it was.
+    Gives where the old content is now, or None: there was none, it was the same, or a page or a
+    table of steerd's. After a SteerdError the old content is where it was.
     """
     data = text.encode() if isinstance(text, str) else text
     kept = _keep(path, data)
@@ -62,17 +58,11 @@ Write = Callable[[Path | None, "str | bytes | None"], bool]
 
 @contextmanager
 def writing(named: Mapping[str, Path | None], *, announced: bool = False) -> Iterator[Write]:
-    """Write the outputs of a command, each as soon as its content is known.
+    """Write the outputs of a command, see `check_outputs`, each as soon as its content is known.
 
-    What cannot be written is said when the block ends, after the others were written. An interrupt
-    (Ctrl-C) leaves what was written by then and says in one line what that is.
-
-    Args:
-        named: path by option name; None where the option was not given.
-        announced: a terminal shows at the end what was written.
-
-    Raises:
-        SteerdError: an output may not be written (see `check_outputs`), or could not be.
+    What cannot be written is a SteerdError when the block ends, after the others were written. An
+    interrupt (Ctrl-C) leaves what was written by then and says in one line what that is; where it
+    is `announced`, a terminal shows that at the end, too.
     """
     check_outputs(named)
     failures: dict[Path, SteerdError] = {}
@@ -181,14 +171,10 @@ def _written() -> list[str]:
 
 
 def check_outputs(outputs: Mapping[str, Path | None]) -> None:
-    """Refuse output files that cannot be written or that are sessions.
+    """Refuse what cannot be written: paths by option name, None where the option was not given.
 
-    Args:
-        outputs: path by option name; None where the option was not given.
-
-    Raises:
-        SteerdError: an output is a session or a folder, its folder is missing or read-only, or
-            two options name one file.
+    A SteerdError where an output is a session or a folder, its folder is missing or read-only, or
+    two options name one file.
     """
     taken: dict[Path, str] = {}
     for option, path in outputs.items():

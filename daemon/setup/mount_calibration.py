@@ -79,11 +79,8 @@ class _Motion:
 def calibrate_mount(drive: Drive, car: Car[float], front: float = 0.0) -> MountCalibration:
     """Estimate the mount from a drive, with the car file's tyres and wheelbase.
 
-    `front` is the front axle's share of the drive, see `steerd.car_model.planar.DRIVES`.
-
-    Raises:
-        SteerdError: the car barely moves, never turns, or poses and wheels do not belong
-            together.
+    `front` is the front axle's share of the drive, see `steerd.car_model.planar.DRIVES`. A
+    SteerdError where the car barely moves, never turns, or poses and wheels do not fit together.
     """
     motion = _differentiate(drive)
     slip = 1.0 / (car.mu * GRAVITY * car.c_sr)  # angle per acceleration, rear axle [rad s^2/m]

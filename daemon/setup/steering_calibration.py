@@ -44,18 +44,11 @@ class SteeringCalibration:
 
 
 def calibrate_steering(track: Track, steer: Signal, car: Car[float]) -> SteeringCalibration:
-    """Estimate gain and centre of the steering from commands and the turning that followed.
+    """Estimate gain and centre of the steering from commands [rad] and the turning that followed.
 
     The wheel angle that a steady turn needs is atan(L curvature) plus the difference of the axles'
-    slip, curvature v^2 (alpha_f - alpha_r per acceleration), after the car file's tyres.
-
-    Args:
-        track: of the car.
-        steer: steering angles commanded [rad].
-        car: geometry and tyres.
-
-    Raises:
-        SteerdError: the car barely moves, or its steering is barely used.
+    slip, curvature v^2 (alpha_f - alpha_r per acceleration), after the car file's tyres. A
+    SteerdError where the car barely moves, or its steering is barely used.
     """
     good = np.isfinite(track.speed) & np.isfinite(track.yaw_rate) & (track.speed > data.MOVING)
     if good.sum() < SAMPLES_MIN:
