@@ -46,8 +46,7 @@ class Environment(_Base):  # type: ignore[misc]
         leave: offset from the lane that ends the episode [m].
         reward: from the estimate and the action; `stay_in_lane` without.
 
-    Raises:
-        SteerdError: an argument cannot be used.
+    A SteerdError where an argument cannot be used.
     """
 
     metadata: Mapping[str, Any] = {"render_modes": []}
@@ -88,14 +87,10 @@ class Environment(_Base):  # type: ignore[misc]
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode: the car is armed and has begun to drive.
+        """Begin an episode: the car is armed and has begun to drive; a SteerdError if it does not.
 
-        Args:
-            seed: of the simulated hardware's noise; the last one where it is None.
-            options: none are known.
-
-        Raises:
-            SteerdError: the car does not come to drive.
+        `seed` is that of the simulated hardware's noise, None for the last one; no `options` are
+        known.
         """
         if seed is not None:
             self._plan = replace(self._plan, options=replace(self._plan.options, seed=seed))
@@ -115,12 +110,9 @@ class Environment(_Base):  # type: ignore[misc]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Hold an action until the next step.
 
-        Returns:
-            Observation, reward, whether the car was stopped or left its lane, whether time is over,
-            and a dictionary: `t` [s] since the start, `fault` in words, `state`, the estimate.
-
-        Raises:
-            SteerdError: the episode is over, or the action is not two finite numbers.
+        Gives observation, reward, whether the car was stopped or left its lane, whether time is
+        over, and a dictionary: `t` [s] since the start, `fault` in words, `state`, the estimate. A
+        SteerdError where the episode is over, or the action is not two finite numbers.
         """
         if self._left <= 0:
             raise SteerdError("the episode is over", "reset() begins the next")

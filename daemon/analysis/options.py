@@ -11,17 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, wraps
 from pathlib import Path
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    ClassVar,
-    Concatenate,
-    Literal,
-    NamedTuple,
-    ParamSpec,
-    Protocol,
-    TypeVar,
-)
+from typing import TYPE_CHECKING, Any, ClassVar, Concatenate, Literal, ParamSpec, Protocol, TypeVar
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effects import find_effect
@@ -88,10 +78,7 @@ class Finding(Reported):
     def save_car(self, path: Path | str) -> Path:
         """Write the car file and what is known of the car beside it, each whole or not at all.
 
-        A file that steerd did not write is kept.
-
-        Raises:
-            SteerdError: it cannot be written there.
+        A file that steerd did not write is kept. A SteerdError where it cannot be written there.
         """
         path = Path(path)
         check_outputs({"save_car": path, "beside it": posterior_path(path)})
@@ -182,7 +169,8 @@ def read_arguments(options: Callable[..., O], args: argparse.Namespace) -> O:
     return options(**{each.name: getattr(args, each.name) for each in fields(options)})  # type: ignore[arg-type]
 
 
-class HeldOut(NamedTuple):
+@dataclass(frozen=True)
+class HeldOut:
     """What validates: every k-th part (0 for none, None as usual), or whole sessions."""
 
     every: int | None = None

@@ -134,10 +134,8 @@ class Session:
     def to_pandas(self, topic: str) -> "pandas.DataFrame":
         """A topic as a data frame; arrays of a message become columns `name.0`, `name.1`, ….
 
-        `drive["state"]` is the same. `attrs["units"]` holds the units by column.
-
-        Raises:
-            SteerdError: pandas is not installed, or as `table`.
+        `drive["state"]` is the same. `attrs["units"]` holds the units by column. Raises as `table`,
+        and a SteerdError where pandas is not installed.
         """
         units = {leaf.name: leaf.unit for leaf in leaves_of(self._find(topic)[1])} | _TIMES
         return make_frame(_flatten(self._columns(topic)), units)
@@ -146,22 +144,14 @@ class Session:
         return self.to_pandas(topic)
 
     def to_polars(self, topic: str) -> "polars.DataFrame":
-        """A topic as a data frame; arrays of a message become columns `name.0`, `name.1`, ….
-
-        Raises:
-            SteerdError: polars is not installed, or as `table`.
-        """
+        """A topic as a data frame of polars, with the columns of `to_pandas`; raises as that."""
         flat = _flatten(self._columns(topic)).items()
         columns = {name: c.tolist() if c.dtype == object else c for name, c in flat}
         frame: polars.DataFrame = load_package("polars").DataFrame(columns)
         return frame
 
     def plot(self) -> "Figure":
-        """Track over lane, errors, commands against measurements, over time.
-
-        Raises:
-            SteerdError: the session has changed on disk.
-        """
+        """Track over lane, errors, commands against measurements, over time; raises as `table`."""
         from steerd.daemon.analysis.figures import plot_session
         from steerd.daemon.sessions.plot_data import make_drawing
 
@@ -203,8 +193,7 @@ _TIMES = {"t": "s", "log_ns": "ns", "publish_ns": "ns"}  # units of what every t
 def load(path: Path | str) -> Session:
     """Open a session file; unfinished and damaged ones open too, with `warnings`.
 
-    Raises:
-        SteerdError: it cannot be read, or is no session.
+    A SteerdError where it cannot be read, or is no session.
     """
     return Session(Path(path), load_session(Path(path)))
 

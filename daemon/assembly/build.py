@@ -236,9 +236,7 @@ def report_refusal(car: CarFile) -> None:
         print_labelled("note: ", text, sys.stderr)
 
 
-def make_world_config(
-    plan: RunPlan, mocap_kind: str = "natnet", keep_bytes: bool = False
-) -> WorldConfig:
+def make_world_config(plan: RunPlan, mocap_kind: str = "natnet") -> WorldConfig:
     """Simulated hardware for a plan: the simulated car, with the effects of the options.
 
     Raises as `load_sim_car` and `make_true_model`.
@@ -254,5 +252,5 @@ def make_world_config(
         scaling=settings.scaling,
         vesc=VescConfig(current_limit=settings.brakes.current_max_a),
         mocap=MocapConfig(kind=mocap_kind, frame=settings.ingest.frame),
-        keep_bytes=keep_bytes,
+        keep_bytes=False,
     )

@@ -16,10 +16,8 @@ FENCE_CORNERS_MIN = 3
 class Thresholds:
     """Every watchdog's numbers; cannot be made outside their ranges.
 
-    ``fence`` is a polygon of (x, y) [m] in the world frame, empty for none.
-
-    Raises:
-        LimitError: one line for each number outside its range, or for a fence that is no polygon.
+    ``fence`` is a polygon of (x, y) [m] in the world frame, empty for none. A LimitError has a line
+    for each number outside its range, and for a fence that is no polygon.
     """
 
     # W1 mocap stale: age that warns; trips after `mocap_blind` metres, within these two times.
