@@ -120,7 +120,6 @@ def parse_box(text: str) -> Box:
 
 
 def _make_circles(car: Car[float], limits: Limits) -> Iterator[Segment]:
-    """The paper's sixteen circles."""
     left = min(limits.steer_left_max, car.steer_max)
     right = min(limits.steer_right_max, -car.steer_min)
     for steer in (left, -right):
