@@ -6,12 +6,13 @@ command line.
 
 import argparse
 import inspect
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Concatenate, Literal, ParamSpec, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Concatenate, Literal, ParamSpec, TypeVar
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effects import find_effect
@@ -107,15 +108,7 @@ Speed = Literal["command", "wheel"]
 """What drives the simulated car: the speed command, or the measured wheel speed."""
 
 
-class HasPath(Protocol):
-    """A recorded session: anything with its file."""
-
-    @property
-    def path(self) -> Path:
-        """The session file."""
-
-
-SessionSource = Path | str | HasPath
+SessionSource = os.PathLike[str] | str  # a file's name, or what `load` and `simulate` give
 SessionSources = SessionSource | Sequence[SessionSource]
 CarSource = CarFile | Finding | Path | str | None
 HeldOutSource = int | SessionSource | Sequence[int | SessionSource] | None
@@ -198,7 +191,7 @@ def _listed(given: Any) -> Sequence[Any]:
 
 def list_sessions(given: SessionSources) -> tuple[Path, ...]:
     """Session files, of one source or several."""
-    return tuple(Path(e) if isinstance(e, str | Path) else e.path for e in _listed(given))
+    return tuple(map(Path, _listed(given)))
 
 
 def read_effects(names: Sequence[str]) -> tuple[str, ...]:

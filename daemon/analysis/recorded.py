@@ -49,6 +49,9 @@ class Session:
     path: Path
     _recording: session_read.Session = field(repr=False)
 
+    def __fspath__(self) -> str:
+        return str(self.path)
+
     @property
     def topics(self) -> tuple[str, ...]:
         """Topics that `table` gives, in alphabetical order."""

@@ -241,8 +241,7 @@ def make_open_drill(
 
     A ValueError where no orbit fits.
     """
-    room = 1.0 + _swing_share(name)
-    radius = _RADIUS_MARGIN * speed**2 * room / limits.lateral_accel_max
+    radius = _RADIUS_MARGIN * speed**2 * (1.0 + _swing_share(name)) / limits.lateral_accel_max
     smallest = wheelbase(car) / tan(min(limits.steer_left_max, limits.steer_right_max))
     while True:
         segments = _make_segments(name, car, limits, max(radius, smallest), speed)
