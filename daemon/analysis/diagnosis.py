@@ -8,14 +8,7 @@ from typing import Any
 from steerd.car_model.car_file import CarFile, CarFileError, Learned
 from steerd.daemon.analysis import options as asked
 from steerd.daemon.analysis.car_output import make_car, with_known
-from steerd.daemon.analysis.drives import (
-    Drives,
-    is_same,
-    load_drives,
-    refuse_copies,
-    split_drives,
-    without_reserved,
-)
+from steerd.daemon.analysis.drives import Drives, load_drives, split_drives, without_reserved
 from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.assembly.sim_car import compare_truths, read_origin
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
@@ -172,15 +165,10 @@ def make_case(
     held_out, quiet = asked.read_held_out(options.held_out), asked.list_sessions(options.healthy)
     if only and not set(only) - set(without):
         raise UsageError("only and without leave no effect")
-    sessions = without_reserved(paths, held_out.files, "diagnose")
+    sessions = without_reserved(paths, held_out.files, "diagnose", quiet)
     for path in held_out.files:  # opened later, but its absence is reported at once
         if not path.is_file():
             raise SteerdError(f"{path} does not exist", "", ExitCode.UNREADABLE)
-    refuse_copies(quiet)
-    for path in quiet:
-        if any(is_same(path, each) for each in (*sessions, *held_out.files)):
-            what = f"healthy {path} is one of the drives to explain: its gap would pass for noise"
-            raise UsageError(what, "name a drive without the gap")
     drives = load_drives(
         sessions, options.speed, watch, lambda share: watch.progress(LOADED * share)
     )

@@ -190,19 +190,23 @@ def refuse_copies(paths: Sequence[Path]) -> None:
 
 
 def without_reserved(
-    given: Sequence[Path], reserved: Sequence[Path], purpose: str
+    given: Sequence[Path], reserved: Sequence[Path], purpose: str, healthy: Sequence[Path] = ()
 ) -> tuple[Path, ...]:
     """The sessions that are not held out: of `*.mcap` those that no other option names.
 
     Raises:
         SteerdError: one drive is named twice, or none is left for the `purpose`.
     """
-    refuse_copies(reserved)
-    refuse_copies(given)
+    for paths in (reserved, given, healthy):
+        refuse_copies(paths)
     kept = tuple(path for path in given if not any(is_same(path, each) for each in reserved))
     if not kept:
         what = f"every session is held out: nothing is left to {purpose}"
         raise UsageError(what, "name another session")
+    for path in healthy:
+        if any(is_same(path, each) for each in (*kept, *reserved)):
+            what = f"healthy {path} is one of the drives to explain: its gap would pass for noise"
+            raise UsageError(what, "name a drive without the gap")
     return kept
 
 

@@ -6,22 +6,13 @@ command line.
 
 import argparse
 import inspect
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, wraps
 from pathlib import Path
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    ClassVar,
-    Concatenate,
-    Literal,
-    NamedTuple,
-    ParamSpec,
-    Protocol,
-    TypeVar,
-)
+from typing import TYPE_CHECKING, Any, ClassVar, Concatenate, Literal, ParamSpec, TypeVar
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effects import find_effect
@@ -120,15 +111,7 @@ Speed = Literal["command", "wheel"]
 """What drives the simulated car: the speed command, or the measured wheel speed."""
 
 
-class HasPath(Protocol):
-    """A recorded session: anything with its file."""
-
-    @property
-    def path(self) -> Path:
-        """The session file."""
-
-
-SessionSource = Path | str | HasPath
+SessionSource = os.PathLike[str] | str  # a file's name, or what `load` and `simulate` give
 SessionSources = SessionSource | Sequence[SessionSource]
 CarSource = CarFile | Finding | Path | str | None
 HeldOutSource = int | SessionSource | Sequence[int | SessionSource] | None
@@ -182,7 +165,8 @@ def read_arguments(options: Callable[..., O], args: argparse.Namespace) -> O:
     return options(**{each.name: getattr(args, each.name) for each in fields(options)})  # type: ignore[arg-type]
 
 
-class HeldOut(NamedTuple):
+@dataclass(frozen=True)
+class HeldOut:
     """What validates: every k-th part (0 for none, None as usual), or whole sessions."""
 
     every: int | None = None
@@ -214,7 +198,7 @@ def _listed(given: Any) -> Sequence[Any]:
 
 def list_sessions(given: SessionSources) -> tuple[Path, ...]:
     """Session files, of one source or several."""
-    return tuple(Path(e) if isinstance(e, str | Path) else e.path for e in _listed(given))
+    return tuple(map(Path, _listed(given)))
 
 
 def read_effects(names: Sequence[str]) -> tuple[str, ...]:

@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 from steerd.daemon.common.errors import SteerdError, reading
 from steerd.daemon.common.notebook import load_package, make_frame
 from steerd.daemon.common.screen import shown
-from steerd.daemon.sessions.info import (
-    Recording,
-    SessionReport,
-    load_session,
-    make_session_report,
-    read_recording,
-    seconds_since,
-)
+from steerd.daemon.sessions import info
 from steerd.steer_bus import session_read
 from steerd.steer_bus.fields import flat_leaves, leaves_of
 from steerd.steer_bus.session_read import MESSAGE_TYPES
@@ -48,6 +41,9 @@ class Session:
 
     path: Path
     _recording: session_read.Session = field(repr=False)
+
+    def __fspath__(self) -> str:
+        return str(self.path)
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -80,14 +76,14 @@ class Session:
         return [Card(label, figure, "") for label, figure in list_facts(self.report, drawing)]
 
     @cached_property
-    def report(self) -> SessionReport:
+    def report(self) -> info.SessionReport:
         """The numbers of `steerd info`."""
-        return make_session_report(self._read)
+        return info.make_session_report(self._read)
 
     @cached_property
-    def _read(self) -> Recording:
+    def _read(self) -> info.Recording:
         """Every topic of steerd's, read in one pass for report, cards and figure."""
-        return read_recording(self._recording)
+        return info.read_recording(self._recording)
 
     @cached_property
     def _names(self) -> dict[str, tuple[str, type[Any]]]:
@@ -187,7 +183,7 @@ class Session:
 
     def _with_time(self, columns: Columns) -> Columns:
         stamps = columns["stamp_ns"] if "stamp_ns" in columns else columns["log_ns"]
-        return {"t": seconds_since(self._recording.info().start_ns, stamps), **columns}
+        return {"t": info.seconds_since(self._recording.info().start_ns, stamps), **columns}
 
 
 class Metadata(dict[str, dict[str, str]]):
@@ -206,7 +202,7 @@ def load(path: Path | str) -> Session:
     Raises:
         SteerdError: it cannot be read, or is no session.
     """
-    return Session(Path(path), load_session(Path(path)))
+    return Session(Path(path), info.load_session(Path(path)))
 
 
 def _make_table(columns: Columns) -> Table:

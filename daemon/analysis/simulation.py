@@ -1,11 +1,11 @@
 """`steerd.simulate`: a drive of the control loop on a simulated car, in virtual time."""
 
-import shutil
 import warnings
 import weakref
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory
 
 from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.analysis.recorded import Session
@@ -65,13 +65,10 @@ def simulate(
     plan = plan_drive(car, path, speed, duration, seed, effects, external=controller is not None)
     if record is not None:
         return _record(plan, Path(record), controller)
-    folder = Path(mkdtemp(prefix="steerd-"))
-    try:
-        session = _record(plan, folder / "simulated.mcap", controller)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    weakref.finalize(session, shutil.rmtree, folder, ignore_errors=True)
+    with ExitStack() as stack:
+        folder = TemporaryDirectory(prefix="steerd-", ignore_cleanup_errors=True)
+        session = _record(plan, Path(stack.enter_context(folder), "simulated.mcap"), controller)
+        weakref.finalize(session, stack.pop_all().close)  # from here on the file is the session's
     return session
 
 

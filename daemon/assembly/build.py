@@ -114,9 +114,8 @@ class RunPlan:
         Raises:
             SteerdError: the simulated car's file is refused.
         """
-        if self.drawn is not None:
-            return self.drawn
-        return load_sim_car(self.options.sim_car) if self.options.sim_car else self.settings
+        spec = self.options.sim_car
+        return self.drawn or (load_sim_car(spec) if spec else self.settings)
 
     @cached_property
     def period_ns(self) -> int:
@@ -249,9 +248,7 @@ def report_refusal(car: CarFile) -> None:
         print_labelled("note: ", text, sys.stderr)
 
 
-def make_world_config(
-    plan: RunPlan, mocap_kind: str = "natnet", keep_bytes: bool = False
-) -> WorldConfig:
+def make_world_config(plan: RunPlan, mocap_kind: str = "natnet") -> WorldConfig:
     """Simulated hardware for a plan: the simulated car, with the effects of the options.
 
     Raises:
@@ -268,5 +265,5 @@ def make_world_config(
         scaling=settings.scaling,
         vesc=VescConfig(current_limit=settings.brakes.current_max_a),
         mocap=MocapConfig(kind=mocap_kind, frame=settings.ingest.frame),
-        keep_bytes=keep_bytes,
+        keep_bytes=False,
     )

@@ -121,7 +121,6 @@ def parse_box(text: str) -> Box:
 
 
 def _make_circles(car: Car[float], limits: Limits) -> Iterator[Segment]:
-    """The paper's sixteen circles."""
     left = min(limits.steer_left_max, car.steer_max)
     right = min(limits.steer_right_max, -car.steer_min)
     for steer in (left, -right):
@@ -184,7 +183,7 @@ NAMES: tuple[str, ...] = ("circles", *_PATTERNS)
 
 def _swing_share(name: str) -> float:
     """Room that a plan's steering needs about an orbit's mean angle, as a share of that."""
-    return SWING if any(top for _, _, top, _ in _PATTERNS.get(name, ())) else 0.0
+    return SWING if name == "circles" or any(top for _, _, top, _ in _PATTERNS[name]) else 0.0
 
 
 def _make_segments(
@@ -244,8 +243,7 @@ def make_open_drill(
     Raises:
         ValueError: no orbit fits.
     """
-    room = 1.0 + (SWING if name == "circles" else _swing_share(name))
-    radius = _RADIUS_MARGIN * speed**2 * room / limits.lateral_accel_max
+    radius = _RADIUS_MARGIN * speed**2 * (1.0 + _swing_share(name)) / limits.lateral_accel_max
     smallest = wheelbase(car) / tan(min(limits.steer_left_max, limits.steer_right_max))
     while True:
         segments = _make_segments(name, car, limits, max(radius, smallest), speed)

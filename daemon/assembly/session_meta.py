@@ -53,12 +53,8 @@ def _git() -> dict[str, str]:
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return {}
-    done = subprocess.run(
-        ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = ["git", "describe", "--always", "--dirty", "--abbrev=12"]
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
     return {"git": done.stdout.strip()} if done.returncode == 0 else {}
 
 

@@ -154,8 +154,5 @@ def missing_lane(text: str) -> SteerdError | None:
 def _texts(value: Any) -> Iterable[str]:
     """The file names of an argument's values; `-` is none, nor is what stands beside a number."""
     values = value if isinstance(value, list) else [value]
-    parts: list[str] = []
-    for each in values:
-        parts += [str(each)] if isinstance(each, Path) else str(each or "").split(",")
-    numbered = any(part.removeprefix("-").isdigit() for part in parts)  # every K-th part
-    return () if numbered else (part for part in parts if part and part != "-")
+    numbered = any(isinstance(each, int) for each in values)  # every K-th part
+    return () if numbered else (str(each) for each in values if each and str(each) != "-")

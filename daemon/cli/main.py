@@ -158,7 +158,6 @@ def _explain(parser: argparse.ArgumentParser, first: Sequence[str]) -> None:
 
 
 def _unusable(name: str, error: argparse.ArgumentError) -> SteerdError:
-    """The error of an option's value that cannot be used."""
     comma = re.search(r"'(-?\d+),(\d+)'", error.message)
     hint = f"{comma[1]}.{comma[2]}" if comma else f"`steerd {name} --help` shows its options"
     what = error.message.replace("invalid float value", "not a number")

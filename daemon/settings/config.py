@@ -53,7 +53,6 @@ class BrakeSettings:
     uuid: str = ""  # 24 hex digits of the VESC that must answer; empty takes any
 
     def __post_init__(self) -> None:
-        """Refuse what stops no car, and what is no UUID."""
         for name in (each for each in _names(type(self)) if each.endswith("brake_current_a")):
             value = getattr(self, name)
             if not 0.0 < value <= BRAKE_CURRENT_MAX_A:
@@ -71,7 +70,6 @@ class RecordSettings:
     disk_free_min_mb: int = 500  # less free space [MB] ends the recording; the file stays complete
 
     def __post_init__(self) -> None:
-        """Refuse what loses or costs too much."""
         if not FLUSH_MS_MIN <= self.flush_ms <= FLUSH_MS_MAX:
             raise ValueError(f"flush_ms = {self.flush_ms}: {FLUSH_MS_MIN} to {FLUSH_MS_MAX} ms")
         if self.disk_free_min_mb < DISK_FREE_MIN_MB:

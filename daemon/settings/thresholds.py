@@ -121,7 +121,6 @@ class Thresholds:
     gateway_full: Annotated[float, Bound(0.1, 1.0, "s")] = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse what the ranges do not allow."""
         problems = find_out_of_bounds({name: getattr(self, name) for name in BOUNDS}, BOUNDS)
         corners = [value for corner in self.fence for value in corner]
         few = 0 < len(self.fence) < FENCE_CORNERS_MIN

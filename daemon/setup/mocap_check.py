@@ -49,8 +49,7 @@ class Check:
 def check_movement(m: Movement, refused: int) -> list[Check]:
     """All checks, in the order in which failures should be fixed; so many poses were `refused`."""
     steps = np.hypot(np.diff(m.x), np.diff(m.y))
-    length = float(np.sum(steps)) if len(steps) else 0.0
-    extent = float(max(np.ptp(m.x), np.ptp(m.y))) if len(m.x) else 0.0
+    length, extent = float(np.sum(steps)), float(max(np.ptp(m.x), np.ptp(m.y)))
     checks = [_check_stream(m, refused), _check_distance(extent, length)]
     if not checks[-1].ok:
         return checks

@@ -19,12 +19,6 @@ ROUND_TRIP_MAX_MS = 10.0  # largest time from request to answer of a VESC: one t
 ANSWERED_MIN = 0.95  # smallest share of requests that a VESC answers [-]
 RATE_MIN = 0.8  # smallest share of a server's frames that arrive [-]
 TILT_MAX = 0.1  # largest tilt of the body of a standing car [rad]
-PORTS = {
-    ("tcp", 7447): "zenoh: a running steerd, or a zenoh router",
-    ("udp", 1510): "NatNet commands: Motive or another server on this machine",
-    ("udp", 1511): "NatNet data: another client of the mocap server",
-    ("tcp", 3883): "VRPN: a mocap server on this machine",
-}
 
 
 @dataclass(frozen=True)
@@ -186,17 +180,3 @@ def _judge_poses(seen: MocapSeen) -> Iterator[Advice]:
     if seen.tilt is not None and seen.tilt > TILT_MAX and not reported:
         fix = "reset the body's orientation in the mocap software with the car on the floor"
         yield Advice(f"the body leans by {degrees(seen.tilt):.0f}° while the car stands", fix)
-
-
-def read_sockets(text: str, kind: str) -> Iterator[SocketFound]:
-    """Sockets on known ports by `/proc/net/tcp` (listening ones only) or `/proc/net/udp`."""
-    for line in text.splitlines()[1:]:
-        fields = line.split()
-        if len(fields) < 4 or (kind == "tcp" and fields[3] != "0A"):
-            continue
-        host, _, port = fields[1].partition(":")
-        number = int(port, 16)
-        if (kind, number) in PORTS:
-            octets = bytes.fromhex(host)[::-1]
-            address = ".".join(map(str, octets)) if len(octets) == 4 else "::"
-            yield SocketFound(kind, address, number, PORTS[kind, number])

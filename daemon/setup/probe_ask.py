@@ -37,6 +37,16 @@ POLL_NS = 10_000_000  # time between two of them [ns]
 DISCOVERY_NS = 1_000_000_000  # NatNet servers answer a discovery within this time [ns]
 BROADCAST = ("255.255.255.255", "127.0.0.1")
 ANSWER_S = 4.0  # a source without a pose after this has none: a client says so after 3 s [s]
+PORTS = {
+    ("tcp", 7447): "zenoh: a running steerd, or a zenoh router",
+    ("udp", 1510): "NatNet commands: Motive or another server on this machine",
+    ("udp", 1511): "NatNet data: another client of the mocap server",
+    ("tcp", 3883): "VRPN: a mocap server on this machine",
+}
+_SILENT = Advice(
+    "opened, but no VESC answered",
+    "is it a VESC? is it powered by its battery? USB power alone starts some boards only",
+)
 
 
 # -- serial --------------------------------------------------------------------------------------
@@ -59,31 +69,25 @@ def ask_ports(named: str | None, clock: Clock, brakes: BrakeSettings) -> Iterato
     """Identify the device on a port, or on all that may be VESCs; nothing moves the car."""
     ports = find_ports()
     for url in ports if named is None else [named]:
-        usb = ports.get(url, "")
+        usb, vesc, why = ports.get(url, ""), None, _SILENT
         if named is None and usb not in (probe.VESC_USB, ""):  # a lidar's, for instance
             what = f"left alone: USB id {usb}, a VESC has {probe.VESC_USB}"
-            yield SerialFound(url, usb, None, (Advice(what, f"steerd probe --port {url}"),))
-            continue
-        try:
-            with contextlib.closing(open_port(url)) as port:
-                vesc = _ask_vesc(port, clock)
-        except PortError as error:
-            yield SerialFound(url, usb, None, (Advice(str(error), error.hint),))
-            continue
-        silent = Advice(
-            "opened, but no VESC answered",
-            "is it a VESC? is it powered by its battery? USB power alone starts some boards only",
-        )
-        yield SerialFound(
-            url, usb, vesc, tuple(probe.judge_vesc(vesc, brakes)) if vesc else (silent,)
-        )
+            why = Advice(what, f"steerd probe --port {url}")
+        else:
+            try:
+                with contextlib.closing(open_port(url)) as port:
+                    vesc = _ask_vesc(port, clock)
+            except PortError as error:
+                why = Advice(str(error), error.hint)
+        advice = probe.judge_vesc(vesc, brakes) if vesc else [why]
+        yield SerialFound(url, usb, vesc, tuple(advice))
 
 
-def _exchange(port: Port, link: VescLink, clock: Clock, wire: bytes, ns: int) -> list[Answer]:
-    """Write, and collect answers for `ns`."""
+def _exchange(port: Port, link: VescLink, clock: Clock, wire: bytes) -> list[Answer]:
+    """Write, and collect answers for `POLL_NS`."""
     if wire:
         port.write(wire)
-    end, events = clock.now_ns() + ns, []
+    end, events = clock.now_ns() + POLL_NS, []
     while (left := end - clock.now_ns()) > 0:
         if select.select([port.fd], [], [], left * 1e-9)[0]:
             events += link.on_bytes(clock.now_ns(), port.read())
@@ -95,13 +99,13 @@ def _ask_vesc(port: Port, clock: Clock) -> VescFound | None:
     link = VescLink(F1TENTH)
     end = clock.now_ns() + CONNECT_NS
     while not link.ready and clock.now_ns() < end:
-        _exchange(port, link, clock, link.make_connect(clock.now_ns()), POLL_NS)
+        _exchange(port, link, clock, link.make_connect(clock.now_ns()))
     version = link.version
     if version is None:
         return None
     answers: list[Answer] = []
     for _ in range(POLLS):
-        answers += _exchange(port, link, clock, link.make_tick(Drive(), clock.now_ns()), POLL_NS)
+        answers += _exchange(port, link, clock, link.make_tick(Drive(), clock.now_ns()))
     polled = [(a, a.reply) for a in answers if isinstance(a.reply, Values)]
     last = polled[-1][1] if polled else None
     trips = [(a.t_received_ns - a.t_sent_ns) * 1e-6 for a, _ in polled]
@@ -233,12 +237,19 @@ def _seen(
 
 
 def find_sockets(proc: Path = Path("/proc/net")) -> tuple[SocketFound, ...]:
-    """Sockets in use on ports that zenoh, NatNet or VRPN use."""
-    found: list[SocketFound] = []
+    """Sockets in use, of TCP those that listen, on ports that zenoh, NatNet or VRPN use."""
+    found: dict[SocketFound, None] = {}  # each once, in order
     for name in ("tcp", "udp", "tcp6", "udp6"):
         with contextlib.suppress(OSError):
-            found += probe.read_sockets((proc / name).read_text(), name.removesuffix("6"))
-    return tuple(dict.fromkeys(found))
+            for line in (proc / name).read_text().splitlines()[1:]:
+                _, local, _, state, *_ = line.split()
+                kind, (host, _, port) = name.removesuffix("6"), local.partition(":")
+                meaning = PORTS.get((kind, number := int(port, 16)))
+                if meaning and (kind == "udp" or state == "0A"):
+                    octets = bytes.fromhex(host)[::-1]
+                    address = ".".join(map(str, octets)) if len(octets) == 4 else "::"
+                    found[SocketFound(kind, address, number, meaning)] = None
+    return tuple(found)
 
 
 def in_dialout() -> bool:

@@ -87,6 +87,7 @@ TABLE = [
     ("keys {tmp}/lab --host 10.0.0.2 --car ''", 2, "car"),
     ("keys {tmp}/lab --operator new", 3, "lab.toml: No such file or directory"),
     # sessions and logs
+    ("info {tmp}/a,b.mcap", 3, "a,b.mcap does not exist"),
     ("replay {tmp}/notes.csv", 3, "notes.csv is not an MCAP file"),
     ("replay {run}", 4, "lacks options"),
     *(

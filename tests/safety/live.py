@@ -10,7 +10,7 @@ import select
 import signal
 import socket
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -187,7 +187,7 @@ def start_hardware() -> Iterator[tuple[Connection, BaseProcess, str, str]]:
     plan = make_plan(RunOptions(car_file="", path="line", speed=1.0))
     context = mp.get_context("spawn")
     ours, theirs = context.Pipe()
-    config = make_world_config(plan, keep_bytes=True)
+    config = replace(make_world_config(plan), keep_bytes=True)
     device = context.Process(target=serve_hardware, args=(config, theirs), daemon=True)
     device.start()
     theirs.close()

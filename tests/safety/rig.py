@@ -163,9 +163,10 @@ def make_rig(
     plan = _plan(path, speed, adapting)
     if settings is not None:
         plan = make_plan(plan.options, settings, real=plan.real)
-    config = build.make_world_config(plan, keep_bytes=True)
+    config = build.make_world_config(plan)
     model = config.model._replace(car=config.model.car._replace(**(car or {})))
-    config = replace(config, model=model, mocap=replace(config.mocap, bystanders=(BYSTANDER,)))
+    mocap = replace(config.mocap, bystanders=(BYSTANDER,))
+    config = replace(config, model=model, mocap=mocap, keep_bytes=True)
     notes = Notes()
     core = make_core(plan, (notes,))
     core.flags |= Flag.LINKED

@@ -14,7 +14,7 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis import drives as module
 from steerd.daemon.analysis import options
 from steerd.daemon.analysis.car_output import find_wiring, learn_known, make_car
-from steerd.daemon.analysis.drives import Drives, is_same, load_drives, split_drives
+from steerd.daemon.analysis.drives import Drives, load_drives, split_drives
 from steerd.daemon.analysis.identification import Identification, IdentifyOptions
 from steerd.daemon.analysis.options import Watch, read_car
 from steerd.daemon.settings.run_options import RunOptions, encode_options
@@ -28,18 +28,6 @@ from steerd.sysid.estimation.outcome import HeldOut, Outcome, Row
 from steerd.sysid.estimation.validation import Prediction
 from steerd.sysid.inference.car_fit import Step
 from steerd.sysid.inference.noise import Noise, noise_section
-
-
-# One drive under two names: recognised by its content, for a copy is no second drive.
-@pytest.mark.parametrize(("one", "other", "same"), [
-    ("a", "a", True), ("a", "copy", True), ("a", "link", True), ("link", "copy", True),
-    ("a", "b", False), ("a", "none", False), ("none", "none", True),
-])  # fmt: skip
-def test_what_is_the_same_drive(one, other, same, tmp_path):
-    for name, content in (("a", b"first"), ("b", b"other"), ("copy", b"first")):
-        (tmp_path / name).write_bytes(content)
-    (tmp_path / "link").symlink_to(tmp_path / "a")
-    assert is_same(tmp_path / one, tmp_path / other) is same
 
 
 @pytest.fixture
@@ -262,14 +250,6 @@ def test_what_is_not_identified_is_one_sentence_with_the_drive_that_helps_most()
         "open        these drives do not identify lf, lr, mass, c_sf; what would help",
         "            most is bends.",
     ]
-
-
-def test_a_result_that_helps_is_driven_with(tmp_path):
-    said = describe(outcome((0.1, 0.4)), tmp_path / "car.toml")
-    assert "0.5 s     100.0 mm" in said
-    assert "4.0 x" in said
-    assert f"steerd run --sim --fast --duration 20 --car {tmp_path / 'car.toml'}\n" in said
-    assert "steerd diagnose 'drives/a b.mcap' --base " in said
 
 
 def test_a_result_that_does_not_help_is_not_and_the_axles_may_be_why():

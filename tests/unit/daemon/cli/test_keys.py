@@ -69,21 +69,17 @@ def test_certificates_name_their_holder_and_are_the_authority_s(lab):
     ("fd00::5", "tls/[fd00::5]:7000", x509.IPAddress),
     ("car.lab", "tls/car.lab:7000", x509.DNSName),
 ])  # fmt: skip
-def test_the_car_s_certificate_holds_its_address(tmp_path, host, endpoint, kind):
-    assert keys(tmp_path / "lab", "--host", host, "--port", "7000") == ExitCode.OK
-    assert load_lab(tmp_path / "lab" / "car1").endpoint == endpoint
-    found = certificate(tmp_path / "lab" / "car1")
-    names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    assert [str(value) for value in names.get_values_for_type(kind)] == [host]
-
-
-def test_an_operator_is_there_unless_named(tmp_path, capsys):
-    assert keys(tmp_path / "lab", "--host", "10.0.0.2", "--car", "blue") == ExitCode.OK
-    assert load_lab(tmp_path / "lab" / "blue").operators == ("operator",)
-    said = capsys.readouterr().out
+def test_a_new_lab_has_an_operator_and_its_car_s_certificate_the_address(
+    tmp_path, cli, host, endpoint, kind
+):
+    said = cli("keys", tmp_path, "--host", host, "--port", 7000, "--car", "blue").out
     assert "steerd run --lab blue" in said
     assert "steerd start --lab operator" in said
-    assert len(said.splitlines()) < 20
+    lab = load_lab(tmp_path / "blue")
+    assert (lab.endpoint, lab.operators) == (endpoint, ("operator",))
+    found = certificate(tmp_path / "blue")
+    names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert [str(value) for value in names.get_values_for_type(kind)] == [host]
 
 
 def test_people_are_added_and_the_car_s_list_is_new(lab):
