@@ -149,14 +149,9 @@ class SessionInfo:
 
 
 def read_contents(path: Path, file: int, size: int) -> SessionInfo:
-    """Read and check a whole container of ``size`` bytes; never raises on damage.
+    """Read and check the first ``size`` bytes of a container; never raises on damage.
 
-    The caller has checked the magic. Bytes that a writer appends meanwhile are not looked at.
-
-    Args:
-        path: its name.
-        file: its descriptor; the position in it is neither used nor moved.
-        size: how much of it to read [bytes].
+    The caller has checked the magic. The position in ``file``, a descriptor, does not matter.
 
     Raises:
         OSError: if the file cannot be read.
@@ -209,13 +204,9 @@ def read_span(file: int, span: Span) -> bytes:
 
 
 def scan_messages(data: bytes) -> tuple[dict[int, list[tuple[int, int]]], list[tuple[int, bytes]]]:
-    """Find the messages of a run of records by channel, and the other records.
+    """The (start, end) of each message behind its channel id, by that; the others' (opcode, body).
 
     The library makes an object of each message, in five times the time of the whole reading.
-
-    Returns:
-        For each channel id the (start, end) of each message behind its channel id, in order; and
-        (opcode, body) of each record that is no message.
 
     Raises:
         DamageError: if lengths do not add up.

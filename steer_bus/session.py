@@ -20,13 +20,9 @@ from steerd.steer_bus.container_write import ContainerWriter
 from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.session_read import Session, SessionError, open_session
 
-FLUSH_NS = 250_000_000
-"""How often a chunk is closed and handed to the kernel: the most a SIGKILL can lose [ns].
-
-Source: `docs/reference/sessions-and-bus.md#b4.2`.
-"""
-SYNC_NS = 1_000_000_000
-"""How often the disk itself should have everything: the most a power cut can lose [ns]."""
+# How often the kernel and the disk get everything: the most that a SIGKILL and a power cut can lose
+# [ns]. Source: `docs/reference/sessions-and-bus.md#b4.2`.
+FLUSH_NS, SYNC_NS = 250_000_000, 1_000_000_000
 SCHEMA_VERSION, _SESSION = "1", "steerd.session"
 _MAX_TIME_NS = (1 << 63) - 1
 
@@ -52,13 +48,9 @@ class SessionWriter:
     ) -> None:
         """Create ``path`` + ``.partial`` and write what is known at the start.
 
-        Args:
-            path: the final name, ending in ``.mcap``.
-            topics: session topic to message class.
-            metadata: records such as ``steerd.session`` and ``steerd.vehicle``.
-            attachments: files to keep inside, such as the exact configuration, by name.
-            start_ns: UNIX time of the attachments [ns].
-            flush_ns: how often :meth:`tick` flushes [ns].
+        ``topics`` are message classes by session topic, ``metadata`` records such as
+        ``steerd.session``, ``attachments`` files to keep inside, of UNIX time ``start_ns``;
+        :meth:`tick` flushes every ``flush_ns``.
 
         Raises:
             SessionError: if a file of this name exists or cannot be created; none is left then.
@@ -78,7 +70,11 @@ class SessionWriter:
                 for name, data in attachments.items():
                     kind = guess_type(name)[0] or "application/toml"
                     self._writer.add_attachment(start_ns, start_ns, name, kind, data)
-                self._channels = {topic: self._add_topic(topic, of) for topic, of in topics.items()}
+                self._channels = {}
+                for topic, cls in topics.items():
+                    text = schema_text(cls).encode()
+                    schema = self._writer.register_schema(type_name(cls), "ros2msg", text)
+                    self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
                 self._file.flush()
                 _sync_folder(path)
         except SessionError:
@@ -91,13 +87,7 @@ class SessionWriter:
         return sum(self._sequences.values())
 
     def write(self, topic: str, data: bytes, log_ns: int, publish_ns: int | None = None) -> None:
-        """Append one encoded message.
-
-        Args:
-            topic: one of the topics given at the start.
-            data: the encoded message.
-            log_ns: UNIX time when it was taken [ns].
-            publish_ns: UNIX time at its source [ns]; ``log_ns`` if left out.
+        """Append one encoded message; ``publish_ns`` is UNIX time at its source, else ``log_ns``.
 
         Raises:
             KeyError: on a topic that was not declared.
@@ -119,11 +109,7 @@ class SessionWriter:
             self._writer.flush()
 
     def tick(self, t_ns: int) -> bool:
-        """Flush if it is time (a quarter of a second by default); say whether :meth:`sync` is due.
-
-        Args:
-            t_ns: monotonic time now [ns].
-        """
+        """Flush if it is time, by the monotonic clock; say whether :meth:`sync` is due."""
         if t_ns - self._flushed_ns >= self._flush_ns:
             self.flush()
             self._flushed_ns = t_ns
@@ -174,11 +160,6 @@ class SessionWriter:
     def _explain(self, error: OSError) -> SessionError:
         saved = "; `steerd recover` saves what was written" if self.count else ""
         return _disk_error(self.partial, error, f"free some space{saved}")
-
-    def _add_topic(self, topic: str, cls: type[Any]) -> int:
-        text = schema_text(cls).encode()
-        schema = self._writer.register_schema(type_name(cls), "ros2msg", text)
-        return self._writer.register_channel(topic, "cdr", schema)
 
 
 def recover(session: Session, path: Path) -> float:

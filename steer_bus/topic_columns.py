@@ -32,6 +32,7 @@ class ColumnBuilder:
 
     Raises:
         TypeError: if the class holds a sequence of messages and so has no columns.
+        CodecError: later on, if a record is not the message.
     """
 
     def __init__(self, cls: type[Any]) -> None:
@@ -43,21 +44,13 @@ class ColumnBuilder:
         self._parts: list[Columns] = []
 
     def add(self, records: list[bytes]) -> None:
-        """Add records (what follows a message's channel id in the file).
-
-        Raises:
-            CodecError: if one of them is not the message.
-        """
+        """Add records (what follows a message's channel id in the file)."""
         self._records += records
         if len(self._records) >= _BATCH:
             self._convert()
 
     def finish(self) -> Columns:
-        """Give the columns of all records, in order.
-
-        Raises:
-            CodecError: if one of them is not the message.
-        """
+        """Give the columns of all records, in order."""
         if self._records or not self._parts:
             self._convert()
         names = self._parts[0].keys()

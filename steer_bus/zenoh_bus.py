@@ -234,7 +234,7 @@ class Subscription:
     """The newest samples of a key."""
 
     def __init__(self, handle: Any, take: Callable[[], zenoh.Sample | None]) -> None:
-        self._handle, self._take = handle, take
+        self._handle, self._take = handle, take  # zenoh withdraws what nobody refers to
 
     def poll(self) -> list[Sample]:
         """Take what has arrived since the last poll, oldest first; never waits."""
@@ -242,10 +242,6 @@ class Subscription:
         while (sample := self._take()) is not None:
             taken.append(_make_sample(sample))
         return taken
-
-    def close(self) -> None:
-        """Withdraw it."""
-        self._handle.undeclare()
 
 
 def _make_sample(sample: zenoh.Sample) -> Sample:
