@@ -11,7 +11,6 @@ ever stall the other, and nothing runs in a thread the caller did not start (the
 :meth:`ZenohBus.serve` and what a subscription keeps excepted).
 """
 
-import ipaddress
 import json
 import struct
 import threading
@@ -29,6 +28,7 @@ from steerd.steer_bus.fields import type_name
 from steerd.steer_bus.lab import (
     DEFAULT_PORT,
     Lab,
+    is_private,
     make_access_settings,
     make_plain_access,
     make_tls_settings,
@@ -273,12 +273,7 @@ def _check_private(profile: Profile) -> None:
     protocol, _, address = profile.endpoint.partition("/")
     if protocol == "unixsock-stream" or (protocol in ("tls", "quic") and profile.lab):
         return
-    host = address.rpartition(":")[0].strip("[]")
-    try:
-        loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        loopback = False
-    if not loopback:
+    if not is_private(address.rpartition(":")[0].strip("[]")):
         raise BusError(
             f"{profile.endpoint} lets anybody on the network drive the car: "
             "use --lab with a folder of steerd keys, or --insecure-lan if you mean it"
