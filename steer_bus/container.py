@@ -192,11 +192,7 @@ def _walk(contents: SessionInfo, file: int, size: int) -> None:
 
 
 def read_span(file: int, span: Span) -> bytes:
-    """Read a span's records again, decompressed and checked.
-
-    Raises:
-        DamageError: if the file has changed since it was opened.
-    """
+    """A span's records, decompressed and checked; DamageError if the file has changed."""
     raw = os.pread(file, span.size, span.offset)
     if len(raw) != span.size:
         raise DamageError("the file has become shorter")
@@ -245,11 +241,7 @@ class _Body(io.BytesIO):
 
 
 def parse(kind: type[T], body: bytes) -> T:
-    """A record of the library from its body.
-
-    Raises:
-        DamageError: its fields are not its body.
-    """
+    """A record of the library from its body; DamageError if its fields are not its body."""
     fields = _Body(body)
     try:
         record: T = cast("Any", kind).read(ReadDataStream(fields))

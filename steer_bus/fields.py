@@ -107,11 +107,7 @@ def message(ros_type: str) -> Callable[[type[C]], type[C]]:
 
 
 def type_name(cls: type[Any]) -> str:
-    """Give the ROS type ``pkg/msg/Name`` of a message class.
-
-    Raises:
-        TypeError: if the class was not made by :func:`message`.
-    """
+    """The ROS type ``pkg/msg/Name`` of a message class; TypeError if it is none."""
     name = getattr(cls, "__ros_type__", None)
     if not isinstance(name, str):
         raise TypeError(f"{cls!r} is not a message class")

@@ -61,11 +61,7 @@ def load_lab(folder: Path) -> Lab:
 
 
 def read_members(folder: Path) -> Lab:
-    """What the `lab.toml` of a folder says.
-
-    Raises:
-        BusError: it cannot be read, or something is missing or odd in it.
-    """
+    """What the `lab.toml` of a folder says; BusError if something is missing or odd in it."""
     try:
         table = load_toml(folder / "lab.toml")
         own = table["car"], table["endpoint"], table.get("name", folder.name)

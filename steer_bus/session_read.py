@@ -133,11 +133,7 @@ class Session:
             raise SessionError("bad_message", text, exit_code=WRONG_CONTENT) from error
 
     def attachment(self, name: str) -> bytes:
-        """Read an attached file.
-
-        Raises:
-            SessionError: if there is none of this name, or the file has changed.
-        """
+        """An attached file; SessionError if there is none of this name, or the file has changed."""
         item = next((a for a in self.attachments() if a.name == name), None)
         if item is None:
             text = f"{self._path.name} has no attachment {name!r}"
@@ -164,11 +160,7 @@ class Session:
         return found
 
     def number(self, record: str, key: str, default: float) -> float:
-        """A number of the metadata; the default where it does not say.
-
-        Raises:
-            SessionError: what it says is no finite number.
-        """
+        """A number of the metadata or the default; SessionError if it says no finite number."""
         text = self._info.metadata.get(record, {}).get(key)
         try:
             value = default if text is None else float(text)
@@ -180,11 +172,7 @@ class Session:
         raise SessionError("bad_number", what, exit_code=WRONG_CONTENT)
 
     def check_layouts(self) -> None:
-        """Refuse messages of steerd's types whose fields another version recorded.
-
-        Raises:
-            SessionError: a topic has other fields than its type has today.
-        """
+        """Raise SessionError for messages of steerd's types with fields of another version."""
         for topic in self._info.topics:
             if topic.type_name in MESSAGE_TYPES:
                 self._channels(topic.name, MESSAGE_TYPES[topic.type_name])

@@ -90,11 +90,7 @@ TOPICS = tuple(topic for topic in [*vars().values()] if isinstance(topic, Topic)
 
 
 def check_car_name(car: str) -> str:
-    """Give the car's name back if it may stand in a key.
-
-    Raises:
-        ValueError: unless it is 1 to 64 of ``a-z 0-9 _``; zenoh itself would take ``*``.
-    """
+    """Give a name back; ValueError unless it is 1 to 64 of ``a-z 0-9 _`` (zenoh takes ``*``)."""
     if not _CAR_NAME.fullmatch(car):
         raise ValueError(f"car name {car!r}: use 1 to 64 of a-z, 0-9 and _")
     return car
@@ -138,22 +134,14 @@ def schema_replies(car: str) -> dict[str, bytes]:
 
 
 def check_size(data: bytes) -> bytes:
-    """Give a message back if the bus carries it.
-
-    Raises:
-        BusError: above ``MAX_BYTES``, which a receiver would drop silently.
-    """
+    """Give a message back; BusError above ``MAX_BYTES``, which a receiver drops silently."""
     if len(data) > MAX_BYTES:
         raise BusError(f"a message of {len(data)} bytes exceeds {MAX_BYTES}")
     return data
 
 
 def check_key(key: str) -> str:
-    """Give a key back if a message may be published under it.
-
-    Raises:
-        BusError: if it is empty, has an empty chunk, or holds one of ``* $ # ?``.
-    """
+    """Give a key back; BusError if it has an empty chunk, or holds one of ``* $ # ?``."""
     if not all(key.split("/")) or any(mark in key for mark in "*$#?"):
         raise BusError(f"{key!r} is no key to publish under")
     return key

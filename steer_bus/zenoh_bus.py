@@ -97,11 +97,7 @@ class ZenohBus:
     """
 
     def __init__(self, profile: Profile) -> None:
-        """Join.
-
-        Raises:
-            BusError: if the hub's port is taken, no hub answers, or a setting is unknown.
-        """
+        """Join; BusError if the port is taken, no hub answers, or a setting is unknown."""
         self.who = profile.who
         self._session = _open(profile)
         self.zid = str(self._session.info.zid())  # the session's id in hexadecimal digits
@@ -187,11 +183,7 @@ class ZenohBus:
         return {str(r.ok.key_expr): r.ok.payload.to_bytes() for r in replies if r.ok is not None}
 
     def close(self) -> None:
-        """Leave the bus, in bounded time; a second close does nothing.
-
-        Raises:
-            BusError: if zenoh does not close within two seconds.
-        """
+        """Leave the bus; BusError if that takes two seconds. A second close does nothing."""
         if self._closed:
             return
         self._closed = True

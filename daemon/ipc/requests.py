@@ -73,11 +73,7 @@ def parse_setting(text: str) -> dict[str, float] | None:
 
 
 def read_diagnostics(message: DiagnosticArray) -> dict[str, str]:
-    """The supervisor's values in a diagnostics message.
-
-    Raises:
-        SteerdError: the message is not the supervisor's.
-    """
+    """The supervisor's values of a diagnostics message; SteerdError if it is another's."""
     for status in message.status:
         if status.name == "steerd: supervisor":
             return {value.key: remove_controls(value.value) for value in status.values}

@@ -89,11 +89,7 @@ def connect(given_endpoint: str | None, folder: Path | None, first: str = "steer
 
 
 def read_lab(folder: Path) -> Lab:
-    """A participant's folder.
-
-    Raises:
-        SteerdError: it is not one.
-    """
+    """A participant's folder; SteerdError if it is none."""
     try:
         return load_lab(folder)
     except BusError as error:
@@ -157,11 +153,7 @@ class CarView:
                     continue
 
     def wait_heard(self, *, state: bool = False) -> "CarView":
-        """Wait until the car has said how it is: its diagnostics, with `state` that too.
-
-        Raises:
-            SteerdError: it did not, in time.
-        """
+        """Wait for the car's diagnostics, with `state` for that too; SteerdError if none come."""
         end_ns = self.clock.now_ns() + STATUS_NS
         while not self.values or (state and self.state is None):
             if self.clock.now_ns() > end_ns:

@@ -88,11 +88,7 @@ def make_mocap(plan: RunPlan) -> MocapReceiver | BusPoseSource:
 
 
 def make_opener(url: str) -> Callable[[], Port]:
-    """What opens the port; it is opened before anything else, to report a wrong one at once.
-
-    Raises:
-        SteerdError: it cannot be opened, with advice.
-    """
+    """What opens the port, which is opened now already: a wrong one is a SteerdError at once."""
     try:
         waiting = [open_port(url)]
     except PortError as error:

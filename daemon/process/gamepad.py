@@ -62,11 +62,7 @@ class Pad:
     _rest: bytes = b""
 
     def read(self) -> list[PadEvent]:
-        """The events that are there.
-
-        Raises:
-            PadGoneError: no more will come.
-        """
+        """The events that are there; PadGoneError when no more will come."""
         try:
             data = os.read(self.fd, _READ_BYTES)
         except BlockingIOError:
@@ -118,11 +114,7 @@ def _open_device(path: Path) -> Pad:
 
 
 def find_pad(deadman: int) -> Path:
-    """The only device that has the deadman's button.
-
-    Raises:
-        SteerdError: none, or several.
-    """
+    """The only device that has the deadman's button; SteerdError for none and for several."""
     import evdev  # noqa: TID251
 
     found = []

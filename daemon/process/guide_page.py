@@ -63,11 +63,7 @@ class GuidePage:
         self._pressed, self._press = os.pipe()
 
     def open(self, port: int) -> str:
-        """Serve; the address.
-
-        Raises:
-            OSError: the port is taken.
-        """
+        """Serve, and give the address; OSError if the port is taken."""
         address: Future[str] = Future()
         served = self._serve(port, address)
         threading.Thread(target=asyncio.run, args=(served,), daemon=True).start()

@@ -54,11 +54,7 @@ class SecretServer:
         return f"{host}:{self.port}"
 
     async def open(self, port: int, max_size: int, protocols: Sequence[str] = ()) -> Server:
-        """Listen.
-
-        Raises:
-            OSError: the port is taken.
-        """
+        """Listen; OSError if the port is taken."""
         named: Any = list(protocols) or None
         server = await serve(
             self._talk,

@@ -91,11 +91,7 @@ class Teleop:
 
 
 def serve_pad(teleop: Teleop, pad: gamepad.Pad, clock: Clock, say: Callable[[str], object]) -> None:
-    """Serve until the gamepad is gone.
-
-    Raises:
-        PadGoneError: it was unplugged, or its stream has ended.
-    """
+    """Serve until the gamepad is unplugged or its stream ends, which raises PadGoneError."""
     due = clock.now_ns()
     while True:
         ready, _, _ = select.select([pad.fd], [], [], max(due - clock.now_ns(), 0) * 1e-9)

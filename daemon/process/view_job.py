@@ -21,11 +21,7 @@ def draw_plan(plan: "RunPlan") -> dict[str, Any]:
 
 
 def make_lane_job(spec: str | None) -> dict[str, Any]:
-    """What is drawn of a lane that was named, or of none.
-
-    Raises:
-        SteerdError: it is no path.
-    """
+    """What is drawn of a lane that was named, or of none; SteerdError if it is no path."""
     try:
         from steerd.car_model.path.path_spec import parse_path
 
