@@ -26,7 +26,6 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.fields import type_name
 from steerd.steer_bus.lab import (
-    DEFAULT_PORT,
     Lab,
     is_private,
     make_access_settings,
@@ -46,8 +45,7 @@ class Profile:
     """How a participant joins."""
 
     hub: bool  # listen on ``endpoint`` and forward between spokes; otherwise dial it
-    # A zenoh locator such as ``tcp/127.0.0.1:7447``
-    endpoint: str = f"tcp/127.0.0.1:{DEFAULT_PORT}"
+    endpoint: str  # a zenoh locator such as ``tcp/127.0.0.1:7447``
     lab: Lab | None = None  # whose certificates it shows and asks for (mutual TLS); None: plain
     insecure_lan: bool = False  # allow a plain-text hub on an address that others can reach
     pose_key: str | None = None  # beside the car's own, where a hub's operators may publish poses

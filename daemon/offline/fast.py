@@ -21,15 +21,9 @@ from steerd.steer_bus.session_read import SessionError
 
 
 def make_recording(plan: RunPlan, path: Path) -> Recording:
-    """A session file for a run in virtual time.
-
-    Raises:
-        SteerdError: it cannot be created.
-    """
-    try:
+    """A session file for a run in virtual time; SteerdError if it cannot be created."""
+    with reading(path, "choose another file with --record"):
         return Recording(make_recorder_job(plan, path, {}))
-    except SessionError as error:
-        raise make_session_error(error, "choose another file with --record") from None
 
 
 def record_virtual(

@@ -170,7 +170,7 @@ def test_a_plain_hub_listens_on_loopback_only(endpoint, refused):
 
 
 def test_nothing_is_scouted_and_a_spoke_never_listens():
-    settings = make_settings(Profile(hub=False))
+    settings = make_settings(Profile(False, "tcp/127.0.0.1:7447"))
     assert settings["listen/endpoints"] == []
     assert settings["scouting/multicast/enabled"] is False
     assert settings["scouting/gossip/enabled"] is False

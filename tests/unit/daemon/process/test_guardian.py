@@ -2,7 +2,6 @@
 
 import os
 import pty
-import runpy
 import select
 import signal
 import subprocess
@@ -190,13 +189,6 @@ def test_main_ignores_signals_asks_for_priority_and_guards(monkeypatch, engaged,
     assert requested == [(0, os.SCHED_FIFO, 60)]
     os.close(fd)
     os.close(read_end)
-
-
-def test_run_as_a_program_it_wants_its_five_words(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["guardian"])
-    with pytest.raises(SystemExit, match="2"):
-        runpy.run_path(guardian.__file__, run_name="__main__")
-    assert "serial_fd" in capsys.readouterr().err
 
 
 def test_a_port_that_an_unarmed_core_lets_go_is_guarded_no_longer(page):
