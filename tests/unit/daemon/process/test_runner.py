@@ -392,22 +392,14 @@ def test_no_rate_of_mocap_makes_ticks_uneven(monkeypatch, hz):
     assert 0.8 < spans.min() <= spans.max() < 1.2
 
 
-def bare_runner(world=None, designs=None, **core):
-    """A runner whose core has nothing but what is given."""
-    plan = SimpleNamespace(period_ns=10 * MS, run=SimpleNamespace(boot_id=1))
-    made = SimpleNamespace(loop=SimpleNamespace(plan=plan), **core)
-    links = CoreLinks(*NOBODY, (), STOP, designs)
-    return Runner(made, world, lambda: None, world, links, SimpleNamespace())
-
-
-def runner_with(monkeypatch, world, notes):
-    """A runner whose core only notes its calls."""
-    it = bare_runner(
-        world,
-        tick=lambda *_: notes.append("decided") or b"order",
-        post_tick=lambda written: notes.append(f"posted {written.decode()}"),
-        on_poses=lambda _samples: None,
-    )  # fmt: skip
+@pytest.fixture
+def it(monkeypatch, r):
+    """A runner whose core only notes its calls, and who keeps its `notes`."""
+    it, core, world, notes = r.it, r.core, World(10 * MS), []
+    it._clock, it._mocap, it.notes = world, world, notes
+    core.tick = lambda *_: notes.append("decided") or b"order"
+    core.post_tick = lambda written: notes.append(f"posted {written.decode()}")
+    core.on_poses = lambda _samples: None
     monkeypatch.setattr("select.select", world.select)
     it._write = lambda wire, _t_ns: notes.append(wire.decode()) or wire
     it._set_flags, it._leave = lambda late_ns: None, lambda: None
@@ -415,22 +407,19 @@ def runner_with(monkeypatch, world, notes):
     return it
 
 
-def test_the_bytes_leave_before_messages_are_posted(monkeypatch):
-    notes: list[str] = []
-    it = runner_with(monkeypatch, World(10 * MS), notes)
-    it._is_done = lambda: len(notes) >= 8
+def test_the_bytes_leave_before_messages_are_posted(it):
+    it._is_done = lambda: len(it.notes) >= 8
     it.run()
-    assert notes == ["decided", "order", "posted order", "tidied"] * 2
+    assert it.notes == ["decided", "order", "posted order", "tidied"] * 2
 
 
-def test_a_pose_makes_one_tick_only(monkeypatch):
+def test_a_pose_makes_one_tick_only(it):
     """A tick so late that it has seen the pose of the next one, again and again."""
-    world, early = World(10 * MS), []
-    it = runner_with(monkeypatch, world, [])
+    early = []
 
     def wait_too_long(due_ns: int, early_ns: int) -> None:
         early.append(early_ns > it._pose_ns)
-        world.t_ns = due_ns + 8 * MS
+        it._clock.t_ns = due_ns + 8 * MS
         it._on_poses([SimpleNamespace(t_arrival_ns=due_ns + 7 * MS)])
 
     it._wait = wait_too_long
@@ -482,11 +471,11 @@ def test_a_late_tick_says_whether_host_or_guardian_stood_still_too(
 
 
 @pytest.fixture
-def reader(ends):
-    """A runner that only reads proposals, and what its core was offered."""
-    offered = []
-    it = bare_runner(designs=ends[1], on_proposal=lambda *given: offered.append(given))
-    return SimpleNamespace(it=it, offered=offered, read=it._read_designs)
+def reader(r, ends):
+    """A runner that reads proposals, and what its core was offered."""
+    r.it._designs, r.read, r.offered = ends[1], r.it._read_designs, []
+    r.core.on_proposal = lambda *given: r.offered.append(given)
+    return r
 
 
 def flood(end, most=100_000):
