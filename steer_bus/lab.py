@@ -44,11 +44,7 @@ def is_private(host: str) -> bool:
 
 
 def load_lab(folder: Path) -> Lab:
-    """Read a participant's folder.
-
-    Raises:
-        BusError: if something is missing or odd in it, or others may read its private key.
-    """
+    """A participant's folder; BusError if something is missing or odd, or others read its key."""
     missing = [name for name in (*_FILES, "lab.toml") if not (folder / name).is_file()]
     if missing:
         raise BusError(f"{folder} has no {', '.join(missing)}: make such a folder with steerd keys")

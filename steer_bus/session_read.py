@@ -70,7 +70,10 @@ class Record:
 
 
 class Session:
-    """A recorded drive. Made by :func:`open_session`; its file stays open as long as it is used."""
+    """A recorded drive. Made by :func:`open_session`; its file stays open as long as it is used.
+
+    What reads the file again raises SessionError if it has changed since.
+    """
 
     def __init__(self, path: Path, file: FileIO) -> None:
         weakref.finalize(self, file.close)
@@ -83,11 +86,7 @@ class Session:
         return self._info
 
     def messages(self, *topics: str) -> Iterator[Record]:
-        """Yield messages of these topics (all if none is named) in recorded order.
-
-        Raises:
-            SessionError: if the file has changed since it was opened.
-        """
+        """Yield messages of these topics (all if none is named) in recorded order."""
         wanted = {
             key: (channel.topic, self._info.schema(channel).name)
             for key, channel in self._info.channels.items()
@@ -133,7 +132,7 @@ class Session:
             raise SessionError("bad_message", text, exit_code=WRONG_CONTENT) from error
 
     def attachment(self, name: str) -> bytes:
-        """An attached file; SessionError if there is none of this name, or the file has changed."""
+        """An attached file; SessionError if there is none of this name."""
         item = next((a for a in self.attachments() if a.name == name), None)
         if item is None:
             text = f"{self._path.name} has no attachment {name!r}"
@@ -141,7 +140,7 @@ class Session:
         return item.data
 
     def attachments(self) -> Iterator[Attachment]:
-        """Read the attached files; raises as messages()."""
+        """Read the attached files."""
         for _, span in self._info.attached:
             yield container.parse(Attachment, self._read(span))
 

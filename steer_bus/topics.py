@@ -97,12 +97,9 @@ def check_car_name(car: str) -> str:
 
 
 def make_key(car: str, topic: Topic | str, who: str = "") -> str:
-    """Make the bus key of a car's topic, or of a name such as `ALIVE`.
+    """The bus key of a car's topic, or of a name such as `ALIVE`; ValueError on a bad car name.
 
     It ends with the sender's name, `who`, where certificates prove that.
-
-    Raises:
-        ValueError: on a bad car name.
     """
     name = topic.name if isinstance(topic, Topic) else topic
     return "/".join((ROOT, check_car_name(car), name, *((who,) if who else ())))

@@ -32,7 +32,8 @@ _NEARLY_FULL = "disk nearly full"
 class Recording:
     """One session being written, and what the pipe dropped (`gaps`).
 
-    `written` counts the records; the first was sent at `start_ns` (UNIX).
+    `written` counts the records; the first was sent at `start_ns` (UNIX). Each method raises
+    SessionError where the disk takes no more.
     """
 
     def __init__(self, job: Mapping[str, Any]) -> None:
@@ -54,11 +55,7 @@ class Recording:
         self.add(record)
 
     def finish(self, reason: str) -> str:
-        """End the file with why it ended and what is missing in it; say the latter in words.
-
-        Raises:
-            SessionError: the disk does not take it.
-        """
+        """End the file with why it ended and what is missing in it; say the latter in words."""
         dropped, holes = str(self.gaps.missed), self.gaps.spans
         end = {"reason": reason, "written": str(self.written), "dropped": dropped}
         self.writer.finish(end | ({"holes": json.dumps(holes)} if holes else {}))
