@@ -200,9 +200,10 @@ def read_span(file: int, span: Span) -> bytes:
 
 
 def scan_messages(data: bytes) -> tuple[dict[int, list[tuple[int, int]]], list[tuple[int, bytes]]]:
-    """The (start, end) of each message behind its channel id, by that; the others' (opcode, body).
+    """Find the messages of a run of records, by channel id, and the others' (opcode, body).
 
-    The library makes an object of each message, in five times the time of the whole reading.
+    A message is the (start, end) of what stands behind its channel id. The library makes an object
+    of each, in five times the time of the whole reading.
 
     Raises:
         DamageError: if lengths do not add up.
