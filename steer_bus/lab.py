@@ -8,6 +8,7 @@ An operator's requests go under keys that end with the own name, so that the car
 
 # Why: docs/decisions/safety.md#d25
 
+import ipaddress
 import stat
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -32,6 +33,14 @@ class Lab:
     operators: tuple[str, ...] = ()  # common names that may command and read
     viewers: tuple[str, ...] = ()  # common names that may read
     name: str = ""  # this participant's common name
+
+
+def is_private(host: str) -> bool:
+    """Whether only this machine reaches a host."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def load_lab(folder: Path) -> Lab:

@@ -20,13 +20,9 @@ from steerd.steer_bus.container_write import ContainerWriter
 from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.session_read import Session, SessionError, open_session
 
-FLUSH_NS = 250_000_000
-"""How often a chunk is closed and handed to the kernel: the most a SIGKILL can lose [ns].
-
-Source: `docs/reference/sessions-and-bus.md#b4.2`.
-"""
-SYNC_NS = 1_000_000_000
-"""How often the disk itself should have everything: the most a power cut can lose [ns]."""
+# How often the kernel and the disk get everything: the most that a SIGKILL and a power cut can lose
+# [ns]. Source: `docs/reference/sessions-and-bus.md#b4.2`.
+FLUSH_NS, SYNC_NS = 250_000_000, 1_000_000_000
 SCHEMA_VERSION, _SESSION = "1", "steerd.session"
 _MAX_TIME_NS = (1 << 63) - 1
 
@@ -78,7 +74,11 @@ class SessionWriter:
                 for name, data in attachments.items():
                     kind = guess_type(name)[0] or "application/toml"
                     self._writer.add_attachment(start_ns, start_ns, name, kind, data)
-                self._channels = {topic: self._add_topic(topic, of) for topic, of in topics.items()}
+                self._channels = {}
+                for topic, cls in topics.items():
+                    text = schema_text(cls).encode()
+                    schema = self._writer.register_schema(type_name(cls), "ros2msg", text)
+                    self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
                 self._file.flush()
                 _sync_folder(path)
         except SessionError:
@@ -174,11 +174,6 @@ class SessionWriter:
     def _explain(self, error: OSError) -> SessionError:
         saved = "; `steerd recover` saves what was written" if self.count else ""
         return _disk_error(self.partial, error, f"free some space{saved}")
-
-    def _add_topic(self, topic: str, cls: type[Any]) -> int:
-        text = schema_text(cls).encode()
-        schema = self._writer.register_schema(type_name(cls), "ros2msg", text)
-        return self._writer.register_channel(topic, "cdr", schema)
 
 
 def recover(session: Session, path: Path) -> float:

@@ -70,7 +70,10 @@ class Record:
 
 
 class Session:
-    """A recorded drive. Made by :func:`open_session`; its file stays open as long as it is used."""
+    """A recorded drive. Made by :func:`open_session`; its file stays open as long as it is used.
+
+    What reads the file again raises SessionError if it has changed since.
+    """
 
     def __init__(self, path: Path, file: FileIO) -> None:
         weakref.finalize(self, file.close)
@@ -93,7 +96,7 @@ class Session:
             for key, channel in self._info.channels.items()
             if not topics or channel.topic in topics
         }
-        for data in self._spans():
+        for data in map(self._read, self._info.spans):
             found = container.scan_messages(data)[0]
             places = ((a, b, key) for key in found.keys() & wanted.keys() for a, b in found[key])
             for start, end, key in sorted(places):
@@ -123,7 +126,7 @@ class Session:
             builders[topic] = ColumnBuilder(cls)
             by_channel |= dict.fromkeys(self._channels(topic, cls), topic)
         try:
-            for data in self._spans():
+            for data in map(self._read, self._info.spans):
                 for key, places in container.scan_messages(data)[0].items():
                     if key in by_channel:
                         builders[by_channel[key]].add([data[a:b] for a, b in places])
@@ -145,7 +148,7 @@ class Session:
         return item.data
 
     def attachments(self) -> Iterator[Attachment]:
-        """Read the attached files; raises as messages()."""
+        """Read the attached files."""
         for _, span in self._info.attached:
             yield container.parse(Attachment, self._read(span))
 
@@ -202,9 +205,6 @@ class Session:
                 hint = "it was recorded by another version"
                 raise SessionError("other_schema", text, hint, WRONG_CONTENT)
         return found
-
-    def _spans(self) -> Iterator[bytes]:
-        return map(self._read, self._info.spans)
 
     def _read(self, span: container.Span) -> bytes:
         try:

@@ -32,6 +32,7 @@ class ColumnBuilder:
 
     Raises:
         TypeError: if the class holds a sequence of messages and so has no columns.
+        CodecError: later on, if a record is not the message.
     """
 
     def __init__(self, cls: type[Any]) -> None:

@@ -11,7 +11,6 @@ ever stall the other, and nothing runs in a thread the caller did not start (the
 :meth:`ZenohBus.serve` and what a subscription keeps excepted).
 """
 
-import ipaddress
 import json
 import struct
 import threading
@@ -27,8 +26,8 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.fields import type_name
 from steerd.steer_bus.lab import (
-    DEFAULT_PORT,
     Lab,
+    is_private,
     make_access_settings,
     make_plain_access,
     make_tls_settings,
@@ -46,8 +45,7 @@ class Profile:
     """How a participant joins."""
 
     hub: bool  # listen on ``endpoint`` and forward between spokes; otherwise dial it
-    # A zenoh locator such as ``tcp/127.0.0.1:7447``
-    endpoint: str = f"tcp/127.0.0.1:{DEFAULT_PORT}"
+    endpoint: str  # a zenoh locator such as ``tcp/127.0.0.1:7447``
     lab: Lab | None = None  # whose certificates it shows and asks for (mutual TLS); None: plain
     insecure_lan: bool = False  # allow a plain-text hub on an address that others can reach
     pose_key: str | None = None  # beside the car's own, where a hub's operators may publish poses
@@ -234,7 +232,7 @@ class Subscription:
     """The newest samples of a key."""
 
     def __init__(self, handle: Any, take: Callable[[], zenoh.Sample | None]) -> None:
-        self._handle, self._take = handle, take
+        self._handle, self._take = handle, take  # zenoh withdraws what nobody refers to
 
     def poll(self) -> list[Sample]:
         """Take what has arrived since the last poll, oldest first; never waits."""
@@ -242,10 +240,6 @@ class Subscription:
         while (sample := self._take()) is not None:
             taken.append(_make_sample(sample))
         return taken
-
-    def close(self) -> None:
-        """Withdraw it."""
-        self._handle.undeclare()
 
 
 def _make_sample(sample: zenoh.Sample) -> Sample:
@@ -277,12 +271,7 @@ def _check_private(profile: Profile) -> None:
     protocol, _, address = profile.endpoint.partition("/")
     if protocol == "unixsock-stream" or (protocol in ("tls", "quic") and profile.lab):
         return
-    host = address.rpartition(":")[0].strip("[]")
-    try:
-        loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        loopback = False
-    if not loopback:
+    if not is_private(address.rpartition(":")[0].strip("[]")):
         raise BusError(
             f"{profile.endpoint} lets anybody on the network drive the car: "
             "use --lab with a folder of steerd keys, or --insecure-lan if you mean it"

@@ -28,10 +28,6 @@ class _Held:
         self.samples.clear()
         return taken
 
-    def close(self) -> None:
-        rings = self.bus.hub.rings
-        rings[:] = [each for each in rings if each is not self]
-
 
 @dataclass(slots=True, eq=False)
 class LocalHub:

@@ -6,7 +6,6 @@ A request is one packet. Pages and viewers, who hold no codec, write a live para
 
 import contextlib
 import socket
-import struct
 from collections.abc import Callable
 from hashlib import blake2b
 from math import isfinite
@@ -50,7 +49,7 @@ def make_badge(who: str, lease_id: int) -> int:
     if not lease_id:
         return 0
     digest = blake2b(lease_id.to_bytes(8, "little") + who.encode(), digest_size=8).digest()
-    return int(struct.unpack("<Q", digest)[0]) | 1
+    return int.from_bytes(digest, "little") | 1
 
 
 LIVE = ("speed", "offset", "gain")  # live parameters by name: [m/s], [m], a share

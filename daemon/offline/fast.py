@@ -26,10 +26,8 @@ def make_recording(plan: RunPlan, path: Path) -> Recording:
     Raises:
         SteerdError: it cannot be created.
     """
-    try:
+    with reading(path, "choose another file with --record"):
         return Recording(make_recorder_job(plan, path, {}))
-    except SessionError as error:
-        raise make_session_error(error, "choose another file with --record") from None
 
 
 def record_virtual(

@@ -16,7 +16,7 @@ from typing import Any
 
 from steerd.daemon.assembly.build import RunPlan, make_job
 from steerd.daemon.assembly.session_meta import make_attachments, make_metadata
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.ipc.pipe_records import make_pipe
 from steerd.daemon.learning.kept import recall_learnt
 from steerd.daemon.process.child import CORE, Child
@@ -168,13 +168,8 @@ def make_recorder_job(
     Raises:
         SteerdError: there can be no such folder.
     """
-    try:
+    with refusing(f"{session.parent}: ", "choose another place with --record"):
         session.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        hint = "choose another place with --record"
-        raise SteerdError(
-            f"{session.parent}: {error.strerror}", hint, ExitCode.UNREADABLE
-        ) from None
     return {
         "path": str(session),
         "car": plan.options.car,

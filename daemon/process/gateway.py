@@ -56,7 +56,9 @@ class RosBridge:
         """Publish one record under its ROS key; an actuation also as a drive command."""
         self._put(record.topic.name, record.data)
         if record.topic.name == topics.ACTUATION.name:
-            self._put(DRIVE_NAME, encode(make_drive(decode(Actuation, record.data))))
+            sent = decode(Actuation, record.data)
+            drive = AckermannDrive(sent.steer, 0.0, sent.speed, 0.0, 0.0)  # rates: 0, unset
+            self._put(DRIVE_NAME, encode(AckermannDriveStamped(sent.header, drive)))
 
     def _put(self, name: str, data: bytes) -> None:
         key = self._keys.get(name)
@@ -88,11 +90,6 @@ class RosDrive:
                 header, self._boot_id, make_badge(sample.sender.hex(), 1), sample.sent_ns,
                 self._seq, VALID_MS, message.drive.steering_angle, message.drive.speed,
             )  # fmt: skip
-
-
-def make_drive(sent: Actuation) -> AckermannDriveStamped:
-    """The command on the wire in F1TENTH's message; rates and accelerations are 0, unset."""
-    return AckermannDriveStamped(sent.header, AckermannDrive(sent.steer, 0.0, sent.speed, 0.0, 0.0))
 
 
 _POLL_MS = 4  # longest time that a request waits here [ms]

@@ -60,7 +60,7 @@ def _lock_memory() -> bool:
 
 
 def enter_realtime(priority: int = FIFO_PRIORITY) -> RealtimeReport:
-    """Request a fixed priority, locked memory and a fine timer; refusals are reported."""
+    """Request a fixed priority, locked memory and a fine timer until this process ends."""
     _libc().prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     fifo, locked = _set_fifo(priority), _lock_memory()
@@ -84,29 +84,6 @@ def settle_memory() -> None:
     gc.collect()
     gc.freeze()
     gc.disable()
-
-
-@contextmanager
-def realtime_section(priority: int = FIFO_PRIORITY) -> Iterator[RealtimeReport]:
-    """Real time for a while: what `enter_realtime` and `settle_memory` set is undone afterwards.
-
-    A process that goes on under a fixed priority, its memory locked and nobody collecting garbage,
-    starves others and grows.
-    """
-    interval, before = sys.getswitchinterval(), (os.sched_getscheduler(0), os.sched_getparam(0))
-    report = enter_realtime(priority)
-    settle_memory()
-    try:
-        yield report
-    finally:
-        gc.unfreeze()
-        gc.enable()
-        sys.setswitchinterval(interval)
-        _libc().prctl(_PR_SET_TIMERSLACK, 0, 0, 0, 0)  # 0: the default again
-        if report.locked:
-            _libc().munlockall()
-        if report.fifo:
-            os.sched_setscheduler(0, *before)
 
 
 P999_LIMIT_NS = 2_000_000  # for one wake of 1000 (`docs/reference/safety-requirements.md#s8.3`)

@@ -32,7 +32,8 @@ _NEARLY_FULL = "disk nearly full"
 class Recording:
     """One session being written, and what the pipe dropped (`gaps`).
 
-    `written` counts the records; the first was sent at `start_ns` (UNIX).
+    `written` counts the records; the first was sent at `start_ns` (UNIX). Each method raises
+    SessionError where the disk takes no more.
     """
 
     def __init__(self, job: Mapping[str, Any]) -> None:

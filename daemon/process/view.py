@@ -12,11 +12,12 @@ import base64
 import sys
 from collections.abc import Mapping, Sequence
 from math import cos, isfinite, sin
-from typing import Any, NamedTuple
+from typing import Any
 
 from foxglove import messages as fox  # noqa: TID251
 from foxglove.messages import FrameTransforms, SceneUpdate  # noqa: TID251
 
+from steerd.car_model.params import Car
 from steerd.daemon.assembly.build import RunPlan, read_job
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord
@@ -42,14 +43,7 @@ _WHEEL = fox.Color(r=0.1, g=0.1, b=0.1, a=1.0)
 _SPEED = fox.Color(r=0.2, g=0.75, b=0.3, a=0.9)
 _WHEEL_SIZE = fox.Vector3(x=0.1, y=0.04, z=0.1)
 _HEIGHT = 0.05  # of the wheels' axes over the floor [m]
-
-
-class Body(NamedTuple):
-    """What is drawn of the car [m]: axles before and behind the CoG, and an F1TENTH's width."""
-
-    lf: float
-    lr: float
-    width: float = 0.27
+_WIDTH = 0.27  # of an F1TENTH [m]
 
 
 def make_transform(state: StateMessage) -> fox.FrameTransforms:
@@ -64,15 +58,15 @@ def make_transform(state: StateMessage) -> fox.FrameTransforms:
     return fox.FrameTransforms(transforms=[frame])
 
 
-def make_car_scene(state: StateMessage, body: Body) -> fox.SceneUpdate:
+def make_car_scene(state: StateMessage, car: Car[float]) -> fox.SceneUpdate:
     """Chassis, steered wheels and velocity, in the body frame."""
-    x = 0.5 * (body.lf - body.lr)
-    size = fox.Vector3(x=1.45 * (body.lf + body.lr), y=0.7 * body.width, z=0.06)
+    x = 0.5 * (car.lf - car.lr)
+    size = fox.Vector3(x=1.45 * (car.lf + car.lr), y=0.7 * _WIDTH, z=0.06)
     chassis = fox.CubePrimitive(pose=_pose(x, 0.0, 0.0), size=size, color=_CHASSIS)
     wheels = [
         fox.CubePrimitive(pose=_pose(x, y, yaw), size=_WHEEL_SIZE, color=_WHEEL)
-        for x, yaw in ((body.lf, state.steer), (-body.lr, 0.0))
-        for y in (0.5 * body.width, -0.5 * body.width)
+        for x, yaw in ((car.lf, state.steer), (-car.lr, 0.0))
+        for y in (0.5 * _WIDTH, -0.5 * _WIDTH)
     ]
     speed = fox.ArrowPrimitive(
         pose=_pose(0.0, 0.0, state.slip_angle, 2.0 * _HEIGHT),
@@ -165,9 +159,10 @@ _NICE = 10  # lower priority than the control processes'
 class Viewer:
     """One car's messages, and what is drawn of them; `gaps` are messages that the pipe dropped."""
 
-    def __init__(self, car: str, body: Body, lane: SceneUpdate, server: ViewServer) -> None:
-        self._car, self._server = car, server
-        self._body, self._lane = body, lane
+    def __init__(self, plan: RunPlan, server: ViewServer) -> None:
+        self._name, self._car, self._server = plan.options.car, plan.settings.file.car, server
+        drawn = draw_plan(plan)
+        self._lane = make_lane_scene(drawn["lane"], drawn["half_width"], closed=drawn["closed"])
         self._views = Views()
         self._scene_due_ns = self._lane_due_ns = 0
         self.gaps = Gaps()
@@ -178,7 +173,7 @@ class Viewer:
         self.gaps.take(record)
         for each in (record, *self._views.convert(record)):
             if each.topic.on_bus:
-                topic = make_session_topic(self._car, each.topic)
+                topic = make_session_topic(self._name, each.topic)
                 self._server.log(topic, each.data, each.log_time_ns)
         if name == topics.PARAMETERS.name:
             self._server.show(make_live_parameters(decode(Parameters, record.data)))
@@ -190,7 +185,7 @@ class Viewer:
 
     def _draw(self, state: StateMessage, log_ns: int) -> None:
         self._server.log(TRANSFORMS, make_transform(state).encode(), log_ns)
-        self._server.log(SCENE, make_car_scene(state, self._body).encode(), log_ns)
+        self._server.log(SCENE, make_car_scene(state, self._car).encode(), log_ns)
         if log_ns >= self._lane_due_ns:
             self._lane_due_ns = log_ns + LANE_NS
             self._server.log(SCENE, self._lane.encode(), log_ns)
@@ -222,11 +217,10 @@ def list_values(plan: RunPlan) -> dict[str, float | str]:
 async def run_viewer(given: Job, plan: RunPlan) -> int:
     """Show what comes until the pipe closes; how many messages it had no room for."""
     records, reports = PipeReader(given.fds["pipe"]), PipeReader(given.fds.get("reports"))
-    car, drawn = plan.options.car, draw_plan(plan)
-    lane = make_lane_scene(drawn["lane"], drawn["half_width"], closed=drawn["closed"])
+    car = plan.options.car
     asks = make_sender(given.fds["requests"]) if "requests" in given.fds else None
     shown = ViewServer(f"steerd {car}", make_channels(car), list_values(plan), asks)
-    viewer = Viewer(car, Body(**drawn["body"]), lane, shown)
+    viewer = Viewer(plan, shown)
     host, port = parse_view(plan.options.view, plan.options.insecure_lan)
     secret = SecretServer(host, shown.talk)
     server = await secret.open(port, WORDS_MAX, PROTOCOLS)

@@ -1,12 +1,12 @@
 """What live page and viewer show of a car before it drives: its lane, its body; and where."""
 
-import ipaddress
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.steer_bus.lab import is_private
 
 if TYPE_CHECKING:
     from steerd.car_model.path.path import Path
@@ -58,18 +58,10 @@ def parse_view(text: str, insecure_lan: bool) -> tuple[str, int]:
     host = host.strip("[]") or "127.0.0.1"
     if not port.isdecimal() or not 0 < int(port) < 65536:
         raise SteerdError(f"--view {text}: [HOST:]PORT", "--view 8765", ExitCode.USAGE)
-    if not _is_private(host) and not insecure_lan:
+    if not is_private(host) and not insecure_lan:
         what = f"--view {text} shows the car to anybody on the network"
         raise SteerdError(what, "--insecure-lan if you mean it", ExitCode.USAGE)
     return host, int(port)
-
-
-def _is_private(host: str) -> bool:
-    """Whether only this machine reaches an address."""
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def check_view(text: str, insecure_lan: bool, *, sets: bool = False) -> None:
@@ -80,7 +72,7 @@ def check_view(text: str, insecure_lan: bool, *, sets: bool = False) -> None:
             or foxglove-sdk is not installed.
     """
     host, _ = parse_view(text, insecure_lan)
-    if sets and not _is_private(host):
+    if sets and not is_private(host):
         what = f"--view-sets: anybody who reaches {host} could change live parameters"
         raise SteerdError(what, "--view on loopback, or drop --view-sets", ExitCode.USAGE)
     if find_spec("foxglove") is None:

@@ -149,11 +149,12 @@ def rtcheck(args: Namespace) -> int:
     print(f"measuring for {args.seconds:g} s …", file=sys.stderr, flush=True)
     period_ns = round(1e9 / args.rate)
     ticks = max(1, round(args.seconds * args.rate))
-    with realtime.realtime_section() as report:
-        stolen_ns = -read_steal_ns()
-        with realtime.keep_busy(os.cpu_count() or 1 if args.under_load else 0):
-            late_ns = realtime.measure_wakes(MonotonicClock(), period_ns, ticks)
-        stolen_ns += read_steal_ns()
+    report = realtime.enter_realtime()
+    realtime.settle_memory()
+    stolen_ns = -read_steal_ns()
+    with realtime.keep_busy(os.cpu_count() or 1 if args.under_load else 0):
+        late_ns = realtime.measure_wakes(MonotonicClock(), period_ns, ticks)
+    stolen_ns += read_steal_ns()
     wakes = realtime.summarise_wakes(late_ns, period_ns)
     print(f"fixed priority: {'yes' if report.fifo else 'no'}")
     print(f"locked memory:  {'yes' if report.locked else 'no'}")

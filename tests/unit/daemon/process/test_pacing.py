@@ -1,9 +1,7 @@
 """Deadlines follow punctual poses, and nothing else; real time: what is refused, who was late."""
 
-import gc
 import os
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -90,22 +88,6 @@ def test_no_arrivals_whatever_bend_a_period_by_more_than_the_slew(period, steps)
     assert np.abs(np.diff(dues) - period).max() <= SLEW * period + 1
 
 
-@pytest.mark.parametrize("period_ms", [2, 5, 10])
-@pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])
-def test_only_the_pose_that_belongs_to_a_deadline_makes_its_tick(period_ms, ratio):
-    period = period_ms * MS
-    frames = arrivals(period * ratio, 0.4, 0.02 * MS, 12)
-    dues, waits, paces = drive(period, frames)
-    stretch = range(TICKS // 2, TICKS - 1)
-    room = {early_window_ns(paces[k], period) for k in stretch}
-    assert max(room) < period // 2
-    early = [[due - f for f in frames if due - period < f <= due] for due in dues[-200:]]
-    for lead, pace in zip(early[1:], paces[-200:-1], strict=True):
-        assert sum(wait <= early_window_ns(pace, period) for wait in lead) <= 1
-    fresh = [waits[k + 1] for k in stretch if waits[k + 1] < period / 2]
-    assert all(wait <= min(room) for wait in fresh)
-
-
 @given(jitter=st.floats(0.0, 1e9), period=st.integers(MS, 20 * MS))
 def test_no_pose_is_early_by_more_than_half_a_period(jitter, period):
     assert 0 <= early_window_ns(Pace(0, 0, jitter, steady=STEADY), period) <= period // 2
@@ -152,23 +134,6 @@ def test_under_a_small_limit_memory_is_not_locked(machine):
     """A lock of future pages would then make later allocations fail."""
     machine(fifo=True, locked=True, limit=65536)
     assert not realtime.enter_realtime().locked
-
-
-def test_real_time_for_a_while_leaves_nothing_behind():
-    """Tests run commands in their own process: rtcheck once left it at a fixed priority."""
-
-    def standing():
-        status = Path("/proc/self/status").read_text().splitlines()
-        locked = next(line for line in status if line.startswith("VmLck"))
-        collected = gc.isenabled(), gc.get_freeze_count()
-        return *collected, sys.getswitchinterval(), os.sched_getscheduler(0), locked
-
-    before = standing()
-    with realtime.realtime_section() as report:
-        assert not gc.isenabled()
-        assert gc.get_freeze_count() > before[1]
-        assert (os.sched_getscheduler(0) & os.SCHED_FIFO != 0) == report.fifo
-    assert standing() == before
 
 
 # Who made a tick late is told from the guardian's pause: machine, host, or this program alone.

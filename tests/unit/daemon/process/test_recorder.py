@@ -232,31 +232,22 @@ def loop():
     return LearnerLoop(plan, lambda data, t_ns: None)
 
 
-def fed(loop, numbers):
-    """The reports that numbered poses complete."""
-    return [report for n in numbers if (report := loop.take(pose_record(n))) is not None]
-
-
-def test_a_report_comes_once_a_second(loop):
-    reports = [decode(m.Model, record.data) for record in fed(loop, range(350))]
-    assert [report.mono_ns // 1_000_000_000 for report in reports] == [1, 2, 3]
-    assert {report.verdict for report in reports} == {"learning"}
-    assert {report.dropped for report in reports} == {0}
-    assert m.stamp_ns(reports[0].header) == EPOCH + reports[0].mono_ns
-
-
 def test_bytes_that_are_no_message_are_passed_over_and_what_was_dropped_is_counted(loop):
     broken = replace(pose_record(60), data=b"\0\1\0\0 nonsense")
     assert loop.take(pose_record(0)) is loop.take(broken) is None
     numbers = (61, 62, 62, *range(63, 250))  # one twice: nothing is missing
-    reports = fed(loop, numbers)
+    reports = [report for n in numbers if (report := loop.take(pose_record(n))) is not None]
     assert [report.sequence for report in reports] == [0, 1]
-    assert decode(m.Model, reports[-1].data).dropped == loop.feed.dropped == 59
+    said = [decode(m.Model, report.data) for report in reports]
+    assert [report.mono_ns // 1_000_000_000 for report in said] == [1, 2], "once a second"
+    assert {report.verdict for report in said} == {"learning"}
+    assert m.stamp_ns(said[0].header) == EPOCH + said[0].mono_ns
+    assert said[-1].dropped == loop.feed.dropped == 59
 
 
-def test_reports_are_read_until_the_learner_ends(loop, pipe):
+def test_reports_are_read_until_the_learner_ends(pipe):
     reader = PipeReader(pipe[0])
-    os.write(pipe[1], pack_record(fed(loop, range(150))[0]))
+    os.write(pipe[1], make_packed(1)[0])
     os.close(pipe[1])
     assert len(list(reader.rest(0))) == 1
     for ended in (reader, PipeReader(None)):

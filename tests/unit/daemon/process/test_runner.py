@@ -31,14 +31,13 @@ from steerd.steer_bus.quick_values import changed
 from steerd.vesc_link.transport import LinkDown
 
 SECOND, MS = 1_000_000_000, 1_000_000
-STOP, MOCAP = 3, 4
-REAL = RunId(1, 0, leased=True)
-NOBODY = PipeWriter(-1), PipeWriter(-1)  # pipes that nobody reads
+MOCAP = 4  # a descriptor
 
 
-OPTIONS = RunOptions(car_file="", path="line", speed=1.0)
-
-plan = pytest.fixture(lambda: make_plan(OPTIONS, real=REAL), scope="module")
+@pytest.fixture(scope="module")
+def plan():
+    options = RunOptions(car_file="", path="line", speed=1.0)
+    return make_plan(options, real=RunId(1, 0, leased=True))
 
 
 def make_runner(plan, sinks=(), requests=(), **record):
@@ -339,41 +338,42 @@ class World:
         return SimpleNamespace(refused=False, state="", detail="", rate_hz=0.0)
 
 
-def ticks_of(monkeypatch, every_ns: int, count: int = 400, **wrong: int):
-    """The ticks of a run, the frames' arrivals, and the period."""
-    notes: list[Tick] = []
+@pytest.fixture
+def ticks_of(monkeypatch, plan):
+    """Gives the ticks of a run, the frames' arrivals, and the period."""
 
-    def sink(records, _t_ns):
-        notes.extend(r.message for r in records if r.topic is topics.TICK)
-        world.t_ns += 4 * MS // 10
+    def drive(every_ns: int, count: int = 400, **wrong: int):
+        ticks: list[Tick] = []
+        arrivals: list[int] = []
 
-    plan = make_plan(replace(OPTIONS, rate_hz=100.0), real=REAL)
-    world = World(every_ns, **wrong)
-    core = make_core(plan, (sink,))
-    arrivals: list[int] = []
-    core.on_poses = lambda samples: arrivals.extend(s.t_arrival_ns for s in samples)
-    monkeypatch.setattr("select.select", world.select)
-    guard = SimpleNamespace(has_tripped=lambda: False, page=None)
-    it = Runner(core, world, lambda: None, world, CoreLinks(*NOBODY, (), STOP), guard)
-    it._try_open = lambda _t_ns: None
-    it._is_done = lambda: len(notes) >= count
-    it.run()
-    return notes, np.array(arrivals), plan.period_ns
+        def sink(records, _t_ns):
+            ticks.extend(r.message for r in records if r.topic is topics.TICK)
+            world.t_ns += 4 * MS // 10
+
+        world, r = World(every_ns, **wrong), make_runner(plan, (sink,))
+        r.it._clock = r.it._mocap = world
+        r.core.on_poses = lambda samples: arrivals.extend(s.t_arrival_ns for s in samples)
+        monkeypatch.setattr("select.select", world.select)
+        r.it._is_done = lambda: len(ticks) >= count
+        r.it.run()
+        return ticks, np.array(arrivals), plan.period_ns
+
+    return drive
 
 
 def woke(ticks: list[Tick]) -> np.ndarray:
     return np.array([tick.woke_ns for tick in ticks])
 
 
-def test_a_pose_is_acted_on_as_it_comes(monkeypatch):
-    ticks, arrivals, period = ticks_of(monkeypatch, 10 * MS)
+def test_a_pose_is_acted_on_as_it_comes(ticks_of):
+    ticks, arrivals, period = ticks_of(10 * MS)
     assert set(woke(ticks[250:])) <= set(arrivals)
     assert np.diff(woke(ticks)).mean() == pytest.approx(period, rel=2e-3)
     assert all(0 < t.due_ns - t.woke_ns < MARGIN * period + MS // 5 for t in ticks[250:])
 
 
-def test_a_pose_that_does_not_come_is_not_waited_for(monkeypatch):
-    ticks, arrivals, _ = ticks_of(monkeypatch, 10 * MS, lost=10)
+def test_a_pose_that_does_not_come_is_not_waited_for(ticks_of):
+    ticks, arrivals, _ = ticks_of(10 * MS, lost=10)
     gap = int(np.argmax(np.diff(arrivals)))
     blind = [t for t in ticks if arrivals[gap] < t.woke_ns < arrivals[gap + 1]]
     assert len(blind) == 10
@@ -382,35 +382,27 @@ def test_a_pose_that_does_not_come_is_not_waited_for(monkeypatch):
 
 
 @pytest.mark.parametrize("ahead_ns", [3 * MS, 1_000 * MS, -3 * MS, -1_000 * MS])
-def test_stamps_that_are_wrong_bring_no_tick_without_waiting(monkeypatch, ahead_ns):
-    ticks, _, period = ticks_of(monkeypatch, 10 * MS, ahead_ns=ahead_ns)
+def test_stamps_that_are_wrong_bring_no_tick_without_waiting(ticks_of, ahead_ns):
+    ticks, _, period = ticks_of(10 * MS, ahead_ns=ahead_ns)
     assert np.diff(woke(ticks)).min() >= period // 2
     assert all(abs(t.due_ns - t.woke_ns) <= period // 2 for t in ticks)
 
 
 @pytest.mark.parametrize("hz", [50, 95, 102, 120, 200, 250, 333.3, 400, 500, 600, 960, 1000])
-def test_no_rate_of_mocap_makes_ticks_uneven(monkeypatch, hz):
-    ticks, _, period = ticks_of(monkeypatch, round(1e9 / hz), count=900)
+def test_no_rate_of_mocap_makes_ticks_uneven(ticks_of, hz):
+    ticks, _, period = ticks_of(round(1e9 / hz), count=900)
     spans = np.diff(woke(ticks[400:])) / period
     assert 0.8 < spans.min() <= spans.max() < 1.2
 
 
-def bare_runner(world=None, designs=None, **core):
-    """A runner whose core has nothing but what is given."""
-    plan = SimpleNamespace(period_ns=10 * MS, run=SimpleNamespace(boot_id=1))
-    made = SimpleNamespace(loop=SimpleNamespace(plan=plan), **core)
-    links = CoreLinks(*NOBODY, (), STOP, designs)
-    return Runner(made, world, lambda: None, world, links, SimpleNamespace())
-
-
-def runner_with(monkeypatch, world, notes):
-    """A runner whose core only notes its calls."""
-    it = bare_runner(
-        world,
-        tick=lambda *_: notes.append("decided") or b"order",
-        post_tick=lambda written: notes.append(f"posted {written.decode()}"),
-        on_poses=lambda _samples: None,
-    )  # fmt: skip
+@pytest.fixture
+def it(monkeypatch, r):
+    """A runner whose core only notes its calls, and who keeps its `notes`."""
+    it, core, world, notes = r.it, r.core, World(10 * MS), []
+    it._clock, it._mocap, it.notes = world, world, notes
+    core.tick = lambda *_: notes.append("decided") or b"order"
+    core.post_tick = lambda written: notes.append(f"posted {written.decode()}")
+    core.on_poses = lambda _samples: None
     monkeypatch.setattr("select.select", world.select)
     it._write = lambda wire, _t_ns: notes.append(wire.decode()) or wire
     it._set_flags, it._leave = lambda late_ns: None, lambda: None
@@ -418,22 +410,19 @@ def runner_with(monkeypatch, world, notes):
     return it
 
 
-def test_the_bytes_leave_before_messages_are_posted(monkeypatch):
-    notes: list[str] = []
-    it = runner_with(monkeypatch, World(10 * MS), notes)
-    it._is_done = lambda: len(notes) >= 8
+def test_the_bytes_leave_before_messages_are_posted(it):
+    it._is_done = lambda: len(it.notes) >= 8
     it.run()
-    assert notes == ["decided", "order", "posted order", "tidied"] * 2
+    assert it.notes == ["decided", "order", "posted order", "tidied"] * 2
 
 
-def test_a_pose_makes_one_tick_only(monkeypatch):
+def test_a_pose_makes_one_tick_only(it):
     """A tick so late that it has seen the pose of the next one, again and again."""
-    world, early = World(10 * MS), []
-    it = runner_with(monkeypatch, world, [])
+    early = []
 
     def wait_too_long(due_ns: int, early_ns: int) -> None:
         early.append(early_ns > it._pose_ns)
-        world.t_ns = due_ns + 8 * MS
+        it._clock.t_ns = due_ns + 8 * MS
         it._on_poses([SimpleNamespace(t_arrival_ns=due_ns + 7 * MS)])
 
     it._wait = wait_too_long
@@ -443,10 +432,9 @@ def test_a_pose_makes_one_tick_only(monkeypatch):
 
 
 @pytest.mark.parametrize(("work_ms", "late"), [(9, False), (12, True), (28, True), (59, True)])
-def test_w15_a_tick_that_takes_too_long_makes_the_next_one_late(monkeypatch, work_ms, late):
+def test_w15_a_tick_that_takes_too_long_makes_the_next_one_late(it, work_ms, late):
     """A loop that cannot keep its rate is no loop that skips what it missed and is in time."""
-    world, seen = World(10 * MS), []
-    it = runner_with(monkeypatch, world, [])
+    world, seen = it._clock, []
     it._write = lambda wire, _t_ns: setattr(world, "t_ns", world.t_ns + work_ms * MS) or wire
     it._set_flags, it._is_done = seen.append, lambda: len(seen) >= 60
     it.run()
@@ -496,11 +484,11 @@ def test_a_late_tick_says_whether_host_or_guardian_stood_still_too(
 
 
 @pytest.fixture
-def reader(ends):
-    """A runner that only reads proposals, and what its core was offered."""
-    offered = []
-    it = bare_runner(designs=ends[1], on_proposal=lambda *given: offered.append(given))
-    return SimpleNamespace(it=it, offered=offered, read=it._read_designs)
+def reader(r, ends):
+    """A runner that reads proposals, and what its core was offered."""
+    r.it._designs, r.read, r.offered = ends[1], r.it._read_designs, []
+    r.core.on_proposal = lambda *given: r.offered.append(given)
+    return r
 
 
 def flood(end, most=100_000):

@@ -10,6 +10,7 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from steerd.car_model.car_file import default_car_path
+from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.assembly.build import make_job, make_plan, read_job
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.requests import parse_setting
@@ -21,7 +22,7 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from tests.blank import NOW_NS, blank
 
-BODY = view.Body(0.16, 0.17, 0.27)
+CAR = DEFAULT_CAR._replace(lf=0.16, lr=0.17)
 
 
 def test_a_live_parameter_is_asked_for_until_the_car_changes_it_and_others_cannot_be_set():
@@ -155,7 +156,7 @@ def test_the_transform_puts_the_body_where_the_estimate_is():
 
 def test_the_car_has_its_axles_and_steers_in_front_only():
     state = blank(m.StateMessage, steer=0.3, speed=2.0, slip_angle=-0.05)
-    (car,) = decode_foxglove(view.make_car_scene(state, BODY)).entities
+    (car,) = decode_foxglove(view.make_car_scene(state, CAR)).entities
     assert (car.frame_id, car.frame_locked) == (m.BODY, True)
     chassis, *wheels = car.cubes
     assert len(wheels) == 4
