@@ -202,7 +202,7 @@ def _after(learner: Learner, state: State, known: Known, change: Change) -> Stat
         kept = replace(known, seen=())
         return replace(state, known=kept, change=None, taken_back=state.taken_back + 1, windows=())
     if len(windows) < REFERENCE + 1:
-        return replace(state, change=change)
+        return replace(state, known=known, change=change)
     # The first window may hold the change itself.
     again = learn(learner.augmented, windows[1:], learner.noise)
     if again is None:
