@@ -9,11 +9,11 @@ from scipy.optimize import minimize
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.native.windows import parameter_vector
-from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.params import DEFAULT_CAR, GRAVITY
 from steerd.car_model.planar import make_planar
 from steerd.sysid.inference import augmented_car
 from steerd.sysid.inference.chart import make_chart
-from steerd.sysid.inference.identifiability import estimates, estimates_with_sds
+from steerd.sysid.inference.identifiability import combinations, estimates, estimates_with_sds
 from steerd.sysid.inference.places import DISCS, RADII, suspicious_discs
 from steerd.sysid.inference.search import step_within
 from steerd.sysid.paper import NAMES as TYRES
@@ -41,6 +41,15 @@ def test_nothing_is_told_while_a_length_sits_at_its_bound():
         found = estimates(chart, z, small)
         assert all(e.identifiable is told for e in found.values())
         assert all(("at its bound" in e.manoeuvre) is not told for e in found.values())
+
+
+@pytest.mark.parametrize(("free", "wheelbase"), [("lf", None), ("lr", None), ("lf", 0.33)])
+def test_a_sum_is_as_unsure_as_the_one_length_that_is_free(free, wheelbase):
+    chart = make_chart((), parameter_vector(Model(DEFAULT_CAR)), (free, "c_sr"), wheelbase)
+    found = combinations(chart, chart.coordinates(chart.prior), np.diag([1e-6, 1e-20]), 2.0)
+    sure = 1e-10 * 4.0 / (DEFAULT_CAR.mu * GRAVITY)
+    wanted = [sure if wheelbase else 1e-3, 1e-3 if wheelbase or free == "lr" else sure]
+    assert [each.sd for each in found] == pytest.approx(wanted, rel=1e-3)
 
 
 def _estimates(effects, values, sd):
