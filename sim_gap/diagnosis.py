@@ -218,10 +218,8 @@ def _conclude(search: _Search, progress: Progress, written: Callable[[str], None
     where = locate(fits)
     progress("shrinkage", 0.85)
     shrinkage = _shrinkage(fits, case.later, written)
-    following = None
-    for cause in [cause for cause in judged.causes if cause.ambiguous_with][:1]:
-        pair = (cause.effect, cause.ambiguous_with[0])
-        following = next_manoeuvre(fits, search.library.nuisance, pair)
+    pairs = [(each.effect, each.ambiguous_with[0]) for each in judged.causes if each.ambiguous_with]
+    following = next_manoeuvre(fits, search.library.nuisance, pairs[0]) if pairs else None
     verdict, notes = judged.name, _notes(search, judged, fits)
     horizons: tuple[Horizon, ...] = ()
     if case.horizons:

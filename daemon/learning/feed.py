@@ -28,7 +28,7 @@ from steerd.daemon.loop.adapting import REFUSED, make_design, make_no_design, re
 from steerd.sim_gap.online.learner import Change, Learner, State, fold, make_learner
 from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled, Sample
 from steerd.sim_gap.online.tracking import Memory, Remembered
-from steerd.sim_gap.online.values import Value, amounts_of, find_aim, unit_of, values_of
+from steerd.sim_gap.online.values import UNITS, Value, amounts_of, find_aim, values_of
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
@@ -167,7 +167,7 @@ def make_model(
 
     What was learnt on an earlier drive is reported until this one knows the car.
     """
-    early = (Value(name, *each, unit_of(name), True) for name, each in remembered.items())
+    early = (Value(name, *each, UNITS[name], True) for name, each in remembered.items())
     values = values_of(state.known) if state.known else tuple(early)
     by_name = {value.name: value for value in values}
     current = () if state.change is None else (state.change,)

@@ -87,15 +87,6 @@ def test_the_cost_falls_as_its_derivatives_say(healthy, likelihood, name):
     assert (costs[1] - costs[0]) / 0.2 == pytest.approx(sd * slope[i], abs=0.1)
 
 
-def test_a_step_of_newton_gains_what_it_promises(likelihood, small):
-    guess = likelihood.predictor.guess
-    point = search.stand(likelihood, small, small.centre + 0.3 * small.spread, guess, 1.0)
-    dz, promised = search.newton(small, point.at, point.z)
-    after = search.stand(likelihood, small, point.z + dz, point.x, 1.0)
-    assert promised > 0.0
-    assert point.cost - after.cost == pytest.approx(promised, rel=0.3, abs=0.1)
-
-
 @pytest.mark.parametrize(("name", "step"), [("accel_max", 0.3), ("steer_rate", 0.05)])
 def test_limits_are_differenced(healthy, likelihood, name, step):
     """A slope between two kinks leads nowhere."""
