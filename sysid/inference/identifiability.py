@@ -89,13 +89,8 @@ def _estimate(
 ) -> Estimate:
     """An estimate, known where its standard error is small by its value or by the one before.
 
-    Args:
-        name: of the parameter.
-        value: its estimate.
-        sd: its standard error; `doubt` with all doubts, by which it is judged.
-        doubt: see `sd`.
-        prior: its standard deviation before any data.
-        would: what would identify it; empty for what is usual.
+    It is judged by its error with all doubts, `doubt`; before any data that is `prior`. What would
+    identify it may be said (`would`), else it is what is usual.
     """
     relative = name in RELATIVE or name in ("lf", "lr")
     if doubt < (RELATIVE_MAX * abs(value) if relative else SPREAD_MAX * prior):

@@ -20,13 +20,9 @@ _FEWEST = 2
 def suspicious_discs(where: Array, badness: Array) -> list[tuple[float, float, float]]:
     """Discs whose windows are worse than the others, the most significant first.
 
-    Args:
-        where: (W, 2) places of the windows [m].
-        badness: (W,) squared error of each by what noise leaves.
-
-    Returns:
-        Centre and radius of each [m]; no disc's centre lies within another. Empty where no disc
-        of at least two windows is worse than the rest.
+    Given are the windows' places (W, 2) [m], and the squared error of each by what noise leaves;
+    found are centre and radius [m]. No disc's centre lies within another, and none is found where
+    no disc of at least two windows is worse than the rest.
     """
     if not len(where):
         return []

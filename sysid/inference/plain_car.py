@@ -129,12 +129,8 @@ def open_plain(
 ) -> tuple[Likelihood, Noise]:
     """Windows of `horizon` seconds under the instruments' noise, and that noise.
 
-    Args:
-        runs: the drives.
-        asked: the car.
-        rough: where the responses to a discrepancy are taken; None for the car as believed.
-        horizon: [s].
-        most: take windows of so much driving, evenly from the whole [s].
+    Responses to a discrepancy are those of a `rough` car, or of the car as believed (None); the
+    windows are evenly from the whole, `most` seconds of driving.
     """
     augmented = replace(make_augmented_car(asked.model, runs), wheelbase=asked.wheelbase)
     augmented = replace(augmented, knowledge=weak_knowledge(augmented, asked.free))

@@ -7,6 +7,7 @@ import pytest
 
 from steerd.sysid.data.windows import SPACING
 from steerd.sysid.inference import noise as noises
+from steerd.sysid.inference.augmented_car import make_augmented_car
 from steerd.sysid.inference.constants import NOISE_KEPT
 from steerd.sysid.inference.disturbance_response import INPUTS, responses
 from steerd.sysid.inference.likelihood import make_likelihood
@@ -72,6 +73,16 @@ def test_effects_at_their_nulls_change_no_bit(healthy, fitted):
     spaces = (make_space(healthy.augmented, (), some) for some in ((), names[:12]))
     a, b = (healthy.linear(each, each.centre, fitted.x).error for each in spaces)
     assert np.array_equal(a, b)
+
+
+def test_a_place_is_as_likely_wherever_the_floor_has_its_origin(drive, base):
+    runs, centres = drive("", runs=1, seconds=4.0), []
+    for away in (np.zeros(3), np.array([40.0, -25.0, 0.0])):
+        moved = [run.pose._replace(values=run.pose.values + away) for run in runs]
+        moved = [replace(run, pose=pose) for run, pose in zip(runs, moved, strict=True)]
+        space = make_space(make_augmented_car(base, moved), (), ("grip_patch",))
+        centres.append(space.centre - [*away[:2], 0.0, 0.0, 0.0])
+    assert centres[0] == pytest.approx(centres[1])
 
 
 def test_noise_survives_a_car_file_and_drives_noisier_than_known_are_believed():
