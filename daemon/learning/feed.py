@@ -33,7 +33,6 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.topics import Topic
-from steerd.sysid.data.dataset import RAMP_ERPM
 from steerd.vesc_link.scaling import F1TENTH, Scaling, erpm_to_speed
 
 NEEDED = (*LEARNT_FROM, topics.WHEEL)  # topics that the learner is fed by
@@ -232,5 +231,4 @@ def make_feed(car: CarFile, wiring: Wiring, memory: Memory | None = None) -> Fee
     Raises:
         ValueError: what identify wrote into the car file is not what it writes.
     """
-    ramp = RAMP_ERPM / abs(wiring.scaling.erpm_gain)
-    return Feed(make_learner(car, ramp, memory), wiring, State())
+    return Feed(make_learner(car, memory), wiring, State())

@@ -41,16 +41,14 @@ class Learner:
 
     augmented: AugmentedCar  # the car file's base, with every effect of the library
     noise: Noise | None = None  # as the car file knows it
-    ramp: float = 0.0  # limit of the motor controller's setpoint [m/s^2], 0 for none
     # What was learnt on an earlier drive of this car
     remembered: Remembered = field(default_factory=dict)
 
 
-def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) -> Learner:
+def make_learner(car: CarFile, memory: Memory | None = None) -> Learner:
     """A learner about a car file: as identified, or with its figures as published.
 
-    `ramp` limits the motor controller's setpoint [m/s^2], 0 for none; `memory` is of an earlier
-    drive of this car.
+    `memory` is of an earlier drive of this car.
 
     Raises:
         ValueError: what identify wrote into the file is not what it writes.
@@ -59,7 +57,7 @@ def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) 
     if augmented.knowledge is None and not augmented.sd:
         augmented = replace(augmented, sd=_published(augmented))
     remembered = tracking.remember(augmented, memory) if memory is not None else {}
-    return Learner(augmented, noise_of_section(car.sections.get("noise", {})), ramp, remembered)
+    return Learner(augmented, noise_of_section(car.sections.get("noise", {})), remembered)
 
 
 def _published(augmented: AugmentedCar) -> dict[str, float]:
@@ -119,7 +117,7 @@ def _close_window(learner: Learner, state: State) -> State:
     start = max(state.start, earliest)
     if not np.isfinite(start) or state.recent.newest < start + samples.WINDOW + samples.LATE:
         return replace(state, start=state.start if state.start > earliest else -np.inf)
-    run = samples.make_window(state.recent, start, learner.ramp)
+    run = samples.make_window(state.recent, start)
     state = replace(state, start=start + samples.WINDOW)
     return state if run is None else take_window(learner, state, start, run)
 
