@@ -7,7 +7,7 @@ from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.disturbance_response import responses
 from steerd.sysid.inference.likelihood import SIZES, loss_of, take_some
 from steerd.sysid.inference.noise import MEMORY, instrument_variance, learn_noise, slip_shape
-from steerd.sysid.inference.search import stand, with_size
+from steerd.sysid.inference.search import stand
 from tests.unit.sysid.inference.conftest import NOISE
 
 
@@ -117,14 +117,6 @@ def test_gradient_and_curvature_are_difference_quotients(likelihood, small, size
         assert high - low == pytest.approx(2.0 * slope * step[i], rel=0.03, abs=2e-3)
         bent = float((ends[0].g[:, i] - ends[1].g[:, i]).sum()) / (2.0 * step[i])
         assert bent == pytest.approx(float(point.at.h[:, i, i].sum()), rel=0.1)
-
-
-def test_another_size_is_a_change_of_weights_alone(likelihood, small):
-    point = stand(likelihood, small, small.centre, likelihood.predictor.guess, 2.0)
-    other = with_size(likelihood, point, 0.3)
-    again = likelihood.reduce(likelihood.weigh(point.rotated, 0.3), other.linear.error, other.x)
-    assert (other.at.here, other.at.h) == (pytest.approx(again.here), pytest.approx(again.h))
-    assert (other.size, with_size(likelihood, point, 2.0)) == (0.3, point)
 
 
 def test_a_weight_is_the_slope_of_the_loss_and_a_window_that_spins_hardly_pulls(likelihood, small):
