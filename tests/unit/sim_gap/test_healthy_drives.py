@@ -54,13 +54,6 @@ def learnt(drive, base):
     return refine(base, drive("", runs=4, seconds=6.0, seed=3, wheel_sd=0.001))
 
 
-def test_other_drives_of_the_same_car_have_no_gap(learnt, drive):
-    again = drive("", runs=4, seconds=6.0, seed=4, wheel_sd=0.001)
-    told = diagnose(Case(again, learnt, GapOptions(pairs=False), horizons=False))
-    assert told.noise_known
-    assert told.verdict == "none"
-
-
 def test_a_base_takes_no_limit_for_its_own_that_its_drives_went_beyond(learnt, drive):
     """However wide its standard error: nothing meets a limit until the car accelerates so hard."""
     known, gains = learnt.sections["knowledge"], []

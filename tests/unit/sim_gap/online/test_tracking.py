@@ -107,15 +107,13 @@ def test_no_ratio_becomes_smaller_and_none_appears(reference, track, windows, of
 def test_what_was_followed_since_a_change_is_taken_back(
     learner, reference, track, windows, monkeypatch
 ):
-    """While it is looked into, the car's numbers are those of before it."""
     usual = QuietRatios(*np.zeros((3, len(reference.space.effects), len(SPANS))))
     state = State(known=Known(reference, track, usual))
     monkeypatch.setattr(live, "judge", lambda known, change: change)
     monkeypatch.setattr(tracking, "look", lambda reference, run, t: run)
     for seen in [*windows(10), *windows(12, seed=8, steer_bias=0.0085)]:
         state = state if state.change else live.take_window(learner, state, seen.t, seen)
-    assert state.known.track is state.change.before
-    assert state.known.shown == ()
+    assert (state.known.track is state.change.before, state.known.shown) == (True, ())
 
 
 def test_what_a_car_shows_as_usual_is_no_change():

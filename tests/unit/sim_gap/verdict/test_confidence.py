@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from steerd.car_model.effects import EFFECTS
-from steerd.sim_gap.verdict.confidence import base_strain, judge_case
+from steerd.sim_gap.verdict.confidence import judge_case
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import Control
 from steerd.sysid.inference.hypotheses import Findings
@@ -182,11 +182,3 @@ def test_what_may_be_the_cause_instead_stands_beside_the_name_and_beside_no_othe
     other = _hypothesis("steer_lag", "marker_offset", probability=0.15)
     first, second = judge_case(LIBRARY, _found(pair, other), True).causes
     assert (first.ambiguous_with, second.ambiguous_with) == (("steer_lag",), ())
-
-
-def test_strain_is_a_distance_in_the_bases_own_uncertainty():
-    assert base_strain(_hypothesis("mass")) == pytest.approx(0.0)
-    assert base_strain(_hypothesis("mass", moved=40.0)) == pytest.approx(80.0 / np.sqrt(40.0))
-    held = _hypothesis("mass")
-    held.point.space.nuisance = 0
-    assert base_strain(held) == 0.0

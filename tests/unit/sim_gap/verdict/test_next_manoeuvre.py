@@ -13,10 +13,7 @@ from steerd.sysid.inference.space import make_space, nuisance_names
 from tests.unit.sysid.inference.conftest import NOISE, likelihood_of
 
 
-def test_a_manoeuvre_is_read_by_the_same_instruments_and_surer_than_a_drive_by_no_lack_of_noise(
-    drive, base
-):
-    """Of a car whose mocap is late and elsewhere."""
+def test_a_manoeuvre_is_read_as_drives_are_and_no_surer_for_want_of_noise(drive, base):
     runs = drive("mocap_latency=0.03,marker_offset=0.04", runs=2, seconds=6.0, seed=7)
     likelihood = likelihood_of(make_augmented_car(base, runs), runs)
     predictor, padded = likelihood.predictor, likelihood.predictor.padded

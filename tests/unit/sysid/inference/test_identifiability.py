@@ -94,7 +94,6 @@ def test_each_standard_error_is_as_wide_as_its_own_scores_and_correlations_stay(
     correlation = covariance / np.outer(before, before)
     np.testing.assert_allclose(each / np.outer(scale, scale), correlation, rtol=1e-9)
     assert (scale >= before * (1.0 - 1e-12)).all()
-    assert pytest.approx(np.diag(correlation)) == np.ones(3)
 
 
 # Where the floor is suspicious: a patch is found by the errors in it, and nothing else is.

@@ -103,22 +103,6 @@ def test_the_eliminated_start_is_that_of_a_joint_least_squares(likelihood, dense
         assert at.g[w] == pytest.approx(kept.T @ error, rel=1e-5, abs=1e-6 * np.abs(at.g[w]).max())
 
 
-@pytest.mark.parametrize("size", [0.0, 0.5])
-def test_gradient_and_curvature_are_difference_quotients(likelihood, small, size):
-    """Of the losses with every start at its best, simulated anew."""
-    guess = likelihood.predictor.guess
-    point = stand(likelihood, small, small.centre + 0.3 * small.spread, guess, size)
-    for _ in range(3):
-        point = stand(likelihood, small, point.z, point.x + point.at.dx, size)
-    for i, step in enumerate(0.02 * np.diag(small.spread)):
-        ends = [stand(likelihood, small, point.z + way * step, point.x, size).at for way in (-1, 1)]
-        low, high = (float(loss_of(at.square, at.dof).sum()) for at in ends)
-        slope = -float(point.at.weight @ point.at.g[:, i])
-        assert high - low == pytest.approx(2.0 * slope * step[i], rel=0.03, abs=2e-3)
-        bent = float((ends[0].g[:, i] - ends[1].g[:, i]).sum()) / (2.0 * step[i])
-        assert bent == pytest.approx(float(point.at.h[:, i, i].sum()), rel=0.1)
-
-
 def test_a_weight_is_the_slope_of_the_loss_and_a_window_that_spins_hardly_pulls(likelihood, small):
     """Half of it per square, below and beyond the bound from which a window counts as spun."""
     guess = likelihood.predictor.guess

@@ -44,7 +44,7 @@ def _linear(seed: int, n: int, flat: int = 0, temper: float = 1.0):
 @pytest.mark.parametrize("seed", range(8))
 def test_evidence_of_a_linear_model_is_the_exact_marginal_likelihood(seed: int, temper: float):
     """A tempered Gaussian likelihood is one of a variance as many times as large."""
-    point, data, by_z = _linear(seed, 4, temper=temper)
+    point, data, by_z = _linear(seed, 4, seed % 2, temper)
     space = point.space
     marginal = temper * np.eye(ROWS) + by_z @ space.covariance @ by_z.T
     exact = multivariate_normal(by_z @ space.centre, marginal).logpdf(data)
@@ -66,23 +66,11 @@ def test_a_covariance_is_positive_definite(seed: int, n: int, flat: int, temper:
     assert (sd <= spread * (1.0 + 1e-6)).all(), "drives cannot make a prior wider"
 
 
-def test_what_nothing_shows_keeps_its_priors_width_and_costs_no_evidence() -> None:
+def test_what_nothing_shows_keeps_its_priors_width() -> None:
     point, _, _ = _linear(4, 3)
-    flat = np.zeros((3, 3))
-    point.at.h = flat[None]
-    assert posterior_of(point, 5.0).covariance == pytest.approx(point.space.covariance)
-    point.at.h = -1e-12 * np.eye(3)[None]  # rounding, seen by a curvature that is none
-    assert posterior_of(point, 5.0).covariance == pytest.approx(point.space.covariance)
-    point, _, _ = _linear(6, 4, flat=1)
-    space = point.space
-    other = SimpleNamespace(**vars(point))
-    other.space = SimpleNamespace(**vars(space))
-    scale = np.array([1.0, 1.0, 1.0, 10.0])
-    other.space.covariance = space.covariance * np.outer(scale, scale)
-    other.space.precision = np.linalg.inv(other.space.covariance)
-    other.z = space.centre + scale * (point.z - space.centre)  # its optimum there
-    # The others' own priors are the same, so only what is flat has another width.
-    assert posterior_of(other, 1.0).evidence == pytest.approx(posterior_of(point, 1.0).evidence)
+    for flat in (0.0, -1e-12):  # rounding, seen by a curvature that is none
+        point.at.h = flat * np.eye(3)[None]
+        assert posterior_of(point, 5.0).covariance == pytest.approx(point.space.covariance)
 
 
 def test_the_design_effect_lies_between_two_and_all_windows(likelihood) -> None:
