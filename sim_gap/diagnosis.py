@@ -20,7 +20,7 @@ from steerd.sim_gap.verdict.next_manoeuvre import Manoeuvre, next_manoeuvre
 from steerd.sim_gap.verdict.residual_shape import Shape, Timeline, shape_of, timeline_of
 from steerd.sim_gap.verdict.shrinkage import Horizon, Shrinkage, cross_check, measure, predict
 from steerd.sim_gap.verdict.where import Fits, Where, locate
-from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import AugmentedCar, make_augmented_car
@@ -148,6 +148,7 @@ def diagnose(
     """
     if case.healthy:
         case = replace(case, base=refine(case.base, case.healthy))
+    check_sources(case.runs)
     augmented = make_augmented_car(case.base, case.runs)
     only = _chosen(augmented, case)
     progress("base", 0.05)
@@ -214,11 +215,9 @@ def _conclude(search: _Search, progress: Progress, written: Callable[[str], None
     progress("where", 0.75)
     where = locate(fits)
     progress("shrinkage", 0.85)
-    shrinkage = _shrinkage(fits, case.later, written)
-    following = None
-    for cause in [cause for cause in judged.causes if cause.ambiguous_with][:1]:
-        pair = (cause.effect, cause.ambiguous_with[0])
-        following = next_manoeuvre(fits, search.library.nuisance, pair)
+    shrinkage = _shrinkage(fits, case, written)
+    pairs = [(each.effect, each.ambiguous_with[0]) for each in judged.causes if each.ambiguous_with]
+    following = next_manoeuvre(fits, search.library.nuisance, pairs[0]) if pairs else None
     verdict, notes = judged.name, _notes(search, judged, fits)
     horizons: tuple[Horizon, ...] = ()
     if case.horizons:
@@ -268,9 +267,7 @@ def _fit_both(search: _Search, chosen: Point) -> Fits:
     return Fits(likelihood, before, after, search.noise, search.floor, names)
 
 
-def _shrinkage(
-    fits: Fits, later: Callable[[], Sequence[Run]] | None, written: Callable[[str], None]
-) -> Shrinkage:
+def _shrinkage(fits: Fits, case: Case, written: Callable[[str], None]) -> Shrinkage:
     """Predict, hand the prediction out, then measure on the reserved drives."""
     share, low, high, _ = predict(fits)
     shares = {"predicted": share, "low": low, "high": high}
@@ -278,9 +275,11 @@ def _shrinkage(
     text = json.dumps(explained | shares, sort_keys=True)
     predicted = Shrinkage(share, low, high, text, hashlib.sha256(text.encode()).hexdigest())
     written(text)
-    if later is None or not fits.values:
+    if case.later is None or not fits.values:
         return predicted
-    return measure(fits, open_predictor(fits.predictor.augmented, later()), predicted)
+    reserved = case.later()
+    check_sources((*case.runs, *reserved))
+    return measure(fits, open_predictor(fits.predictor.augmented, reserved), predicted)
 
 
 def _notes(search: _Search, judged: Verdict, fits: Fits) -> list[str]:

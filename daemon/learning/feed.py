@@ -28,12 +28,11 @@ from steerd.daemon.loop.adapting import REFUSED, make_design, make_no_design, re
 from steerd.sim_gap.online.learner import Change, Learner, State, fold, make_learner
 from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled, Sample
 from steerd.sim_gap.online.tracking import Memory, Remembered
-from steerd.sim_gap.online.values import Value, amounts_of, find_aim, unit_of, values_of
+from steerd.sim_gap.online.values import UNITS, Value, amounts_of, find_aim, values_of
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.topics import Topic
-from steerd.sysid.data.dataset import RAMP_ERPM
 from steerd.vesc_link.scaling import F1TENTH, Scaling, erpm_to_speed
 
 NEEDED = (*LEARNT_FROM, topics.WHEEL)  # topics that the learner is fed by
@@ -167,7 +166,7 @@ def make_model(
 
     What was learnt on an earlier drive is reported until this one knows the car.
     """
-    early = (Value(name, *each, unit_of(name), True) for name, each in remembered.items())
+    early = (Value(name, *each, UNITS[name], True) for name, each in remembered.items())
     values = values_of(state.known) if state.known else tuple(early)
     by_name = {value.name: value for value in values}
     current = () if state.change is None else (state.change,)
@@ -232,5 +231,4 @@ def make_feed(car: CarFile, wiring: Wiring, memory: Memory | None = None) -> Fee
     Raises:
         ValueError: what identify wrote into the car file is not what it writes.
     """
-    ramp = RAMP_ERPM / abs(wiring.scaling.erpm_gain)
-    return Feed(make_learner(car, ramp, memory), wiring, State())
+    return Feed(make_learner(car, memory), wiring, State())

@@ -41,15 +41,13 @@ class Learner:
 
     augmented: AugmentedCar  # the car file's base, with every effect of the library
     noise: Noise | None = None  # as the car file knows it
-    ramp: float = 0.0  # limit of the motor controller's setpoint [m/s^2], 0 for none
     remembered: Remembered = field(default_factory=dict)  # of an earlier drive of this car
 
 
-def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) -> Learner:
+def make_learner(car: CarFile, memory: Memory | None = None) -> Learner:
     """A learner about a car file: as identified, or with its figures as published.
 
-    `ramp` limits the motor controller's setpoint [m/s^2], 0 for none; `memory` is of an earlier
-    drive of this car.
+    `memory` is of an earlier drive of this car.
 
     Raises:
         ValueError: what identify wrote into the file is not what it writes.
@@ -58,7 +56,7 @@ def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) 
     if augmented.knowledge is None and not augmented.sd:
         augmented = replace(augmented, sd=_published(augmented))
     remembered = tracking.remember(augmented, memory) if memory is not None else {}
-    return Learner(augmented, noise_of_section(car.sections.get("noise", {})), ramp, remembered)
+    return Learner(augmented, noise_of_section(car.sections.get("noise", {})), remembered)
 
 
 def _published(augmented: AugmentedCar) -> dict[str, float]:
@@ -117,7 +115,7 @@ def _close_window(learner: Learner, state: State) -> State:
     start = max(state.start, earliest)
     if not np.isfinite(start) or state.recent.newest < start + samples.WINDOW + samples.LATE:
         return replace(state, start=state.start if state.start > earliest else -np.inf)
-    run = samples.make_window(state.recent, start, learner.ramp)
+    run = samples.make_window(state.recent, start)
     state = replace(state, start=start + samples.WINDOW)
     return state if run is None else take_window(learner, state, start, run)
 
@@ -200,7 +198,7 @@ def _after(learner: Learner, state: State, known: Known, change: Change) -> Stat
         kept = replace(known, seen=())
         return replace(state, known=kept, change=None, taken_back=state.taken_back + 1, windows=())
     if len(windows) < REFERENCE + 1:
-        return replace(state, change=change)
+        return replace(state, known=known, change=change)
     # The first window may hold the change itself.
     again = learn(learner.augmented, windows[1:], learner.noise)
     if again is None:

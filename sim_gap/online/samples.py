@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from steerd.sysid.data.data_checks import DataError
-from steerd.sysid.data.dataset import HISTORY, SERVO_FRAME, Run, Signal, make_run
+from steerd.sysid.data.dataset import HISTORY, Run, Signal, make_run
 from steerd.sysid.data.segments import SPEED_MIN
 
 WINDOW = 0.5  # length of a window [s]: ten of the car's time constants, and a change shows soon
@@ -94,11 +94,8 @@ def first_start(recent: Recent) -> float:
     return max(recent.poses[0].t, recent.orders[0].t + LEAD)
 
 
-def make_window(recent: Recent, start: float, ramp: float) -> Run | None:
-    """The window that begins at `start` [s], None where the car did not drive through it.
-
-    `ramp` is the limit of the motor controller's setpoint [m/s^2], 0 for none.
-    """
+def make_window(recent: Recent, start: float) -> Run | None:
+    """The window that begins at `start` [s], None where the car did not drive through it."""
     end = start + WINDOW
     poses = [p for p in recent.poses if start <= p.t < end]
     orders = [o for o in recent.orders if start - PAST <= o.t < end + LATE]
@@ -114,6 +111,6 @@ def make_window(recent: Recent, start: float, ramp: float) -> Run | None:
     pose, speeds = Signal(seen[:, 0], seen[:, 1:]), Signal(rolled[:, 0], rolled[:, 1])
     try:
         run = make_run(f"{start:.2f} s", Signal(t, steer), Signal(t, speed), pose, wheel=speeds)
-        return replace(run, servo_frame=SERVO_FRAME, speed_ramp=ramp, history=PAST)
+        return replace(run, history=PAST)
     except DataError:
         return None

@@ -31,8 +31,8 @@ from steerd.sysid.inference.augmented_car import AugmentedCar
 INFORMED = 0.5  # a drive identifies a number whose standard deviation it halves
 SHARP = 0.03  # or that is known to this share of its bounds' half width, from before
 Amount = tuple[float, float, str]
-_UNITS = {p.name: p.unit for p in PARAMETERS}
-_UNITS |= {f"{e.name}.{p.name}": p.unit for e in EFFECTS.values() for p in e.parameters}
+UNITS = {p.name: p.unit for p in PARAMETERS}
+UNITS |= {f"{e.name}.{p.name}": p.unit for e in EFFECTS.values() for p in e.parameters}
 
 
 class Value(NamedTuple):
@@ -60,13 +60,8 @@ def values_of(known: Known) -> tuple[Value, ...]:
         place = space.chart.names.index(name)
         sd, width = float(spread[place]), space.chart.high[place] - space.chart.low[place]
         informed = sd < INFORMED * before[place] or sd < SHARP * 0.5 * width
-        found.append(Value(name, float(parameters[place]), sd, unit_of(name), bool(informed)))
+        found.append(Value(name, float(parameters[place]), sd, UNITS[name], bool(informed)))
     return tuple(found)
-
-
-def unit_of(name: str) -> str:
-    """The unit of a parameter, or of an effect's (`effect.parameter`)."""
-    return _UNITS[name]
 
 
 def amounts_of(change: Change) -> dict[str, Amount]:

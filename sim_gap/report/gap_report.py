@@ -33,14 +33,22 @@ VERDICTS = {
     "unjudged": ("cannot be judged", "bad"),
 }  # fmt: skip
 """What a page calls a verdict, and how good that is."""
+TO_DRIVE = {
+    "none": "nothing; if the car behaves badly elsewhere, record it there",
+    "explained": "nothing more is needed to name it",
+    "partial": "the same once more, and faster: the remainder must be reproducible to be modelled",
+    "unexplained": "`steerd collect --plan mixed`: more kinds of driving identify more of it",
+    "unjudged": "nothing yet: first `steerd identify`, then `--base` that car, "
+    "`--healthy` its drives",
+}
+"""What to drive next where no manoeuvre distinguishes two names."""
 METHOD = (
     "The drives are cut into windows of one second. From each window's start, which is unknown and "
     "estimated, the base car predicts what mocap, wheels and gyro should show, from the commands "
     "alone. The error is measured in units of its own noise: 1 is noise, more is a gap. Every "
-    "effect of the library is then added by itself, the base's parameters staying free within "
-    "their uncertainty, and is scored on windows that its fit did not see (one nat is a factor 2.7 "
-    "in likelihood). The name goes to the effect that predicts best; what predicts nearly as well, "
-    "or looks alike in these drives, is listed beside it."
+    "effect of the library is then added, the base's parameters staying free within their "
+    "uncertainty, and counts by how likely it makes the drives beyond what it explains of healthy "
+    "ones. The name goes to the likeliest; what is nearly as likely is listed beside it."
 )
 
 
@@ -258,10 +266,9 @@ def headline(found: Diagnosis) -> str:
         return "What the simulation does not predict of these drives looks like noise."
     if found.verdict == "unjudged":
         last = found.before.errors[-1]
-        off = (
-            f"the simulation is {short(1e3 * last.position.value)} mm off after {last.seconds:g} s"
-        )
-        return f"These drives cannot be judged: {off}, and errors as large were learnt as ordinary."
+        off = f"{short(1e3 * last.position.value)} mm off after {last.seconds:g} s"
+        off = f"the simulation is {off}, and errors as large were learnt as ordinary"
+        return f"These drives cannot be judged: {off}."
     if found.verdict == "unexplained" or not found.causes:
         return "There is a gap, and none of the known effects explains it."
     names = " and ".join(cause.effect for cause in found.causes)
@@ -311,21 +318,10 @@ def shrink_words(found: Diagnosis) -> str:
 def manoeuvre_words(found: Diagnosis) -> str:
     """What to drive next."""
     following = found.next_manoeuvre
-    if following is not None:
-        first, second = following.separates
-        what = f"`{following.command}` ({following.name})"
-        return f"to distinguish {first} from {second}: {what}"
-    if found.verdict == "none":
-        return "nothing; if the car behaves badly elsewhere, record it there"
-    if found.verdict == "unjudged":
-        return (
-            "nothing yet: first `steerd identify`, then `--base` that car, `--healthy` its drives"
-        )
-    if found.verdict == "unexplained":
-        return "`steerd collect --plan mixed`: more kinds of driving identify more of it"
-    if found.verdict == "partial":
-        return "the same once more, and faster: the remainder must be reproducible to be modelled"
-    return "nothing more is needed to name it"
+    if following is None:
+        return TO_DRIVE[found.verdict]
+    first, second = following.separates
+    return f"to distinguish {first} from {second}: `{following.command}` ({following.name})"
 
 
 def lane_words(lane: LaneComparison) -> str:

@@ -101,7 +101,7 @@ def _cause(library: Library, found: Findings, name: str, kept: float) -> Cause:
     values = best.point.parameters[augmented.places(name)]
     square = np.diag(best.posterior.covariance)[places_of(best.point.space.chart.free, name)]
     own = np.array(augmented.values(name))
-    if control is not None:  # what the model's errors add in healthy drives, they add here
+    if control is not None and not effect.zero_gradient:  # the model errs here as in healthy drives
         low, high = np.array([(p.low, p.high) for p in effect.parameters]).T
         values = np.clip(values - (control.values - own), low, high)
         square = square + np.diag(control.covariance)

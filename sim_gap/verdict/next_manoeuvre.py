@@ -6,11 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from steerd.car_model.model import observe
 from steerd.car_model.native import windows as compiled
-from steerd.car_model.state import ORIGIN
+from steerd.car_model.numpy_ops import NUMPY
+from steerd.car_model.state import ORIGIN, State
 from steerd.sim_gap.verdict.where import Fits
 from steerd.sysid.data.data_checks import Array
-from steerd.sysid.data.dataset import GRID, Run, Signal
+from steerd.sysid.data.dataset import GRID, NOTHING, Run, Signal
 from steerd.sysid.inference.chart import places_of
 from steerd.sysid.inference.library import Library, carry
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
@@ -77,8 +79,9 @@ MENU: Mapping[str, _Drive] = {
 `daemon/assembly/plans.py`; a test holds both together."""
 
 
-def _drive(kernels: compiled.Kernels, parameters: Array, name: str) -> Run:
-    """The manoeuvre as a car with parameters (P,) would drive it, without noise."""
+def _drive(fits: Fits, name: str) -> Run:
+    """The manoeuvre as the explained car would drive it, read by the same instruments."""
+    kernels, parameters = fits.predictor.augmented.kernels, fits.after.parameters
     t = GRID * np.arange(round(SECONDS / GRID), dtype=float)
     rows = np.column_stack(MENU[name].drive(t))
     first = np.zeros((1, compiled.STATES + kernels.memory))
@@ -86,8 +89,12 @@ def _drive(kernels: compiled.Kernels, parameters: Array, name: str) -> Run:
     held = compiled.HeldCommands(rows, GRID, _SUBSTEPS)
     blocks = compiled.make_window_blocks(np.array([[0, len(t), 0]]), np.zeros(1))
     path = compiled.march(kernels, parameters, first, held, blocks, len(t) * _SUBSTEPS)
-    pose = compiled.view_by_window(path, 1)[0, :-1:_SUBSTEPS, :3]
-    return Run(name, GRID, rows, Signal(t, pose))
+    path = compiled.view_by_window(path, 1)[0, :-1:_SUBSTEPS, : compiled.STATES]
+    *pose, wheel, rate = observe(NUMPY, compiled.model_of(kernels, parameters), State(*path.T))
+    seen = Signal(t + compiled.delays_of(kernels, parameters)[2], np.column_stack(pose))
+    read = fits.predictor.layout.channel
+    rolled, turned = (Signal(t, v) if k in read else NOTHING for k, v in ((3, wheel), (4, rate)))
+    return Run(name, GRID, rows, seen, wheel=rolled, yaw_rate=turned)
 
 
 def margin(
@@ -102,6 +109,8 @@ def margin(
     names = [*point.space.effects, *(n for n in pair if n not in point.space.effects)]
     space = Library(likelihood, tuple(nuisance), (), known=False).space(names)
     at = stand(likelihood, space, z := carry(likelihood, space, point), point.x, 0.0).at
+    # A drive will have noise: what is closer than that is no surer.
+    at = at._replace(square=np.maximum(at.square, at.dof))
     h, n = curvature(space, at), space.nuisance
     s = h[n:, n:] - h[n:, :n] @ np.linalg.solve(h[:n, :n], h[:n, n:])
     free = space.chart.free[n:]
@@ -136,6 +145,6 @@ def next_manoeuvre(fits: Fits, nuisance: Sequence[str], pair: tuple[str, str]) -
 def _on(fits: Fits, name: str) -> tuple[Likelihood, Point]:
     """The windows and the hypothesis of a manoeuvre not driven yet."""
     augmented, point = fits.predictor.augmented, fits.after
-    other = open_predictor(augmented, [_drive(augmented.kernels, point.parameters, name)])
+    other = open_predictor(augmented, [_drive(fits, name)])
     likelihood = make_likelihood(other, point.parameters, other.guess, fits.noise)
     return likelihood, settled(likelihood, point.space, point.z)

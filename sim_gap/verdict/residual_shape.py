@@ -47,11 +47,14 @@ def _spectrum(fits: Fits) -> tuple[float, float]:
     return float(at / (length * step)), float(power[at] / max(power[1:].mean(), 1e-12))
 
 
-def _rank_correlation(a: Array, b: Array) -> float:
-    if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
-        return 0.0
-    first, second = (np.argsort(np.argsort(v)).astype(float) for v in (a, b))
-    return float(np.corrcoef(first, second)[0, 1])
+def _rank_correlation(*both: Array) -> float:
+    """Values that are the same but for rounding share their rank."""
+    ranks = []
+    for values in both:
+        _, place, count = np.unique(values.round(9), return_inverse=True, return_counts=True)
+        ranks.append((np.cumsum(count) - 0.5 * count)[place])
+    varied = min(map(np.ptp, ranks)) > 0.0
+    return float(np.corrcoef(ranks)[0, 1]) if varied else 0.0
 
 
 @dataclass(frozen=True, eq=False)

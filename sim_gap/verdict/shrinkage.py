@@ -84,8 +84,7 @@ def _shares(before: Array, after: Array, best: Array, floor: float, blocks: Indi
     low, high = middle_of(np.array(draws))
     excess = robust_mean(before) - level
     shown = excess > max(_EXCESS_LEAST, _SIGMAS * float((drawn[0] - moved).std()))
-    shown = shown and high - low <= _WIDE
-    return _Shares(share, low, high, shown)
+    return _Shares(share, low, high, shown and high - low <= _WIDE)
 
 
 def predict(fits: Fits) -> _Shares:

@@ -28,7 +28,8 @@ SMOOTH = 0.3  # width of the Hann window that smooths a prescribed speed [s]
 BLOCK = 5.4  # length of the blocks of which every k-th is held out [s]
 PIECE = 30.0  # length of the pieces that stand for a long drive [s]
 _ROUNDED = 1.0 + 1e-9
-SIGNALS = ("pose", "wheel", "yaw_rate", "steer", "speed_command")  # of a drive, with times
+MEASURED, ORDERED = ("pose", "wheel", "yaw_rate"), ("steer", "speed_command")
+"""Signals of a drive, with times."""
 
 
 def make_segment(run: Run, low: float, high: float) -> Run:
@@ -40,11 +41,14 @@ def make_segment(run: Run, low: float, high: float) -> Run:
     last = min(len(run.commands), round(high / run.h))
     zero = first * run.h
 
-    def part(signal: Signal) -> Signal:
-        inside = (signal.t >= low - 1e-9) & (signal.t <= high + 1e-9)
+    def part(signal: Signal, since: float) -> Signal:
+        inside = (signal.t >= since - 1e-9) & (signal.t <= high + 1e-9)
         return Signal(signal.t[inside] - zero, signal.values[inside])
 
-    parts: dict[str, Any] = {name: part(getattr(run, name)) for name in SIGNALS}
+    parts: dict[str, Any] = {name: part(getattr(run, name), low) for name in MEASURED}
+    for name in ORDERED:
+        t = getattr(run, name).t
+        parts[name] = part(getattr(run, name), t[t <= zero + 1e-9].max(initial=0.0))
     return replace(run, commands=run.commands[first:last], start=run.start + zero, **parts)
 
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from steerd.car_model.car_file import CarFile
-from steerd.car_model.effect import Effect
+from steerd.car_model.effect import Effect, Role
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model, believed_car
 from steerd.car_model.native.windows import Kernels, make_kernels, model_of, parameter_vector
@@ -217,10 +217,19 @@ def make_augmented_car(base: CarFile | Model[float], runs: Sequence[Run]) -> Aug
         stated |= {e.name for e in EFFECTS.values() if e.follows_acceleration}
         own = {name: values for name, values in own.items() if name not in stated}
     effects = tuple(EFFECTS.values())
-    values = tuple(own.get(e.name, e.nulls) for e in effects)
+    poses = [run.pose.values[:, :2] for run in runs]
+    middle = dict(zip("xy", np.concatenate(poses).mean(axis=0), strict=True)) if poses else {}
+    values = tuple(own.get(e.name, _nulls(e, middle)) for e in effects)
     full: Model[float] = Model(Car(*model.car), effects, values, model.chassis)
     kernels = make_kernels(effects, model.chassis)
     return _known(AugmentedCar(kernels, parameter_vector(full), sd), base, stated)
+
+
+def _nulls(effect: Effect, middle: Mapping[str, float]) -> tuple[float, ...]:
+    """An effect's nulls, a place amid the drives: where a floor has its origin says nothing."""
+    return tuple(
+        middle.get(p.name, p.null) if p.role is Role.PLACE else p.null for p in effect.parameters
+    )
 
 
 def _known(

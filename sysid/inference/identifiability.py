@@ -10,7 +10,7 @@ import numpy as np
 from steerd.car_model.effect import Effect
 from steerd.car_model.params import GRAVITY
 from steerd.sysid.data.data_checks import Array
-from steerd.sysid.inference.chart import INVERSE, RELATIVE, SPREAD, WHEELBASE, Chart, make_chart
+from steerd.sysid.inference.chart import INVERSE, RELATIVE, SPREAD, Chart, make_chart
 
 RELATIVE_MAX = 0.05  # a length, stiffness or scale is known whose error is below this share of it
 SPREAD_MAX = 0.2  # all else is known when its standard error is below this share of its prior's
@@ -193,19 +193,19 @@ def combinations(
     p = dict(zip(chart.names, chart.parameters(z), strict=True))
     share = speed**2 / (p["mu"] * GRAVITY)
     weights = {
-        "L + (v^2/mu g)(1/Cf - 1/Cr)": {WHEELBASE: 1.0, "1/c_sf": share, "1/c_sr": -share},
-        "lr - v^2/(mu g Cr)": {"lr": 1.0, "1/c_sr": -share},
+        "L + (v^2/mu g)(1/Cf - 1/Cr)": np.array([1.0, 1.0, share, -share]),
+        "lr - v^2/(mu g Cr)": np.array([0.0, 1.0, 0.0, -share]),
     }
-    known = {
-        WHEELBASE: p["lf"] + p["lr"], "lr": p["lr"],
-        "1/c_sf": 1.0 / p["c_sf"], "1/c_sr": 1.0 / p["c_sr"],
-    }  # fmt: skip
+    names = ("lf", "lr", "c_sf", "c_sr")
+    known = np.array([p["lf"], p["lr"], 1.0 / p["c_sf"], 1.0 / p["c_sr"]])
+    slopes = chart.slopes(z)[[chart.names.index(name) for name in names]]
+    slopes[2:] *= -(known[2:, None] ** 2)
     careful = _careful(chart, z, covariance)
     out = []
     for text, parts in weights.items():
-        row = np.array([parts.get(label, 0.0) for label in chart.labels])
+        row = parts @ slopes
         if np.any(row):
-            value = float(sum(weight * known[label] for label, weight in parts.items()))
+            value = float(parts @ known)
             sd, doubt = (float(np.sqrt(row @ c @ row)) for c in (covariance, careful))
             out.append(Combination(text, value, sd, max(sd, doubt) < SUM_MAX * abs(value)))
     return tuple(out)

@@ -99,14 +99,14 @@ def _winsorised(gains: Array, local: bool) -> Array:
 def _healthy_gain(library: Library, point: Point, name: str, temper: float, shown: Shown) -> float:
     """What an effect gains beside a hypothesis by being as healthy drives show it [nats].
 
-    Where no derivative shows it: the most that it may gain so.
+    Where no derivative shows it, or nothing is known of it: the most that it may gain so.
     """
     control = library.controls.get(name) or max(library.controls.values(), key=lambda o: o.gain)
     most = shown_most(library, control)
     if (point, name) not in shown:
         shown[point, name] = slice_along(library, point, library.effect(name))
     along = shown[point, name]
-    if along is None:
+    if along is None or control.effect != name:
         return most
     away = control.values - along.values
     gain = log_mean(along.curved / temper, along.slope / temper, away, control.covariance)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from steerd.sim_gap.diagnosis import Case, GapOptions, diagnose
+from steerd.sysid.data.data_checks import DataError
+from steerd.sysid.data.segments import with_wheel_speed
 from steerd.sysid.inference.noise import noise_section
 from tests.unit.sysid.inference.conftest import NOISE
 
@@ -23,9 +25,14 @@ def test_a_healthy_car_has_no_gap(drive, base):
     assert "noise was learnt" in " ".join(told.notes)
 
 
-def test_unknown_effects_are_refused(drive, base):
+def test_unknown_effects_and_measured_speeds_beside_commanded_ones_are_refused(drive, base):
+    runs, only = drive("steer_delay=0.05", runs=2, seconds=6.0), GapOptions(only=("steer_delay",))
     with pytest.raises(ValueError, match="no effect 'wings'"):
-        diagnose(Case(drive("", runs=1, seconds=4.0), base, GapOptions(only=("wings",))))
+        diagnose(Case(runs, base, GapOptions(only=("wings",))))
+    bare = [with_wheel_speed(run) for run in runs[1:]]
+    for each, later in (([*runs, *bare], None), (runs, lambda: bare)):
+        with pytest.raises(DataError, match="has no speed commands"):
+            diagnose(Case(each, base, only, later))
 
 
 @pytest.mark.parametrize("seed", [40, 41, 42])

@@ -39,7 +39,7 @@ def test_what_is_no_number_or_comes_late_is_left_out(sample):
 def test_a_window_needs_the_commands_before_it_of_which_a_pause_leaves_none():
     recent = driven(1.5)
     assert samples.first_start(recent) == pytest.approx(samples.LEAD)
-    run = samples.make_window(recent, 0.7, 0.0)
+    run = samples.make_window(recent, 0.7)
     assert run.pose.t[-1] - run.pose.t[0] == pytest.approx(samples.WINDOW, abs=0.011)
     assert run.pose.t[0] >= samples.LEAD - 0.011
     recent = samples.take(driven(1.5), samples.Paused(1.5))
@@ -50,4 +50,4 @@ def test_a_window_needs_the_commands_before_it_of_which_a_pause_leaves_none():
     ("speed", "asked"), [(0.0, 1.5), (1.5, 0.0), (0.3, 0.3)], ids=["held", "rolls", "slow"]
 )
 def test_a_car_that_does_not_drive_makes_no_window(speed, asked):
-    assert samples.make_window(driven(1.5, speed, asked), 0.7, 0.0) is None
+    assert samples.make_window(driven(1.5, speed, asked), 0.7) is None

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from steerd.sim_gap.online import learner as live
 from steerd.sim_gap.online import tracking
 from steerd.sim_gap.online.changes import SPANS, QuietRatios, ratios, reweighted
-from steerd.sim_gap.online.learner import Change
-from steerd.sim_gap.online.naming import EARLY, Finding, believed, find_cause
+from steerd.sim_gap.online.learner import Change, State
+from steerd.sim_gap.online.naming import EARLY, Finding, Known, believed, find_cause
 from steerd.sim_gap.online.tracking import Seen, Track, follow, informed_directions, may_change
 from steerd.sim_gap.online.values import amounts_of, values_of
 from steerd.sysid.inference.augmented_car import BasePrior
@@ -101,6 +102,18 @@ def test_no_ratio_becomes_smaller_and_none_appears(reference, track, windows, of
     assert (after[there] >= table[there]).all()
     for row in [reference.space.effects.index(same)] if same else []:
         np.testing.assert_array_equal(table[row], after[row])
+
+
+def test_what_was_followed_since_a_change_is_taken_back(
+    learner, reference, track, windows, monkeypatch
+):
+    usual = QuietRatios(*np.zeros((3, len(reference.space.effects), len(SPANS))))
+    state = State(known=Known(reference, track, usual))
+    monkeypatch.setattr(live, "judge", lambda known, change: change)
+    monkeypatch.setattr(tracking, "look", lambda reference, run, t: run)
+    for seen in [*windows(10), *windows(12, seed=8, steer_bias=0.0085)]:
+        state = state if state.change else live.take_window(learner, state, seen.t, seen)
+    assert (state.known.track is state.change.before, state.known.shown) == (True, ())
 
 
 def test_what_a_car_shows_as_usual_is_no_change():

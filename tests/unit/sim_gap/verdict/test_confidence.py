@@ -110,6 +110,10 @@ def test_what_healthy_drives_show_of_an_effect_is_none_of_the_change():
     value, sd, _ = cause.parameters["delay"]
     assert value == pytest.approx(0.03 - 0.004)
     assert sd == pytest.approx(np.sqrt(1e-6 + 9e-6 + (value * c.MODEL_ERROR) ** 2))
+    shown = Control("accel_limit", np.array([9.0]), np.zeros((1, 1)), 0.1)  # only where it stays
+    library.controls["accel_limit"] = shown
+    (cause,) = judge_case(library, _found(_hypothesis("accel_limit")), True).causes
+    assert cause.parameters["limit"].value == 1.5
 
 
 def test_a_wrong_model_adds_to_an_error_by_the_change_or_the_value_whichever_is_less():

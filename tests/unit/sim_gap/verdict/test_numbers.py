@@ -11,6 +11,7 @@ from steerd.sim_gap.diagnosis import grown_leads, is_far
 from steerd.sim_gap.report.gap_report import furthest, headline, manoeuvre_words, share_words
 from steerd.sim_gap.verdict import where
 from steerd.sim_gap.verdict.confidence import Estimated
+from steerd.sim_gap.verdict.residual_shape import _rank_correlation
 from steerd.sim_gap.verdict.shrinkage import _shares, explained_share, noise_level
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.likelihood import Reduced
@@ -90,6 +91,13 @@ def test_a_fit_to_the_noise_leaves_a_whole_share():
 ])  # fmt: skip
 def test_a_range_shows_the_digits_that_tell_its_ends_apart(low, high, unit, words):
     assert where.range_words(where.Regime("run_time", low, high, 2.0, 0.5, 1.5, 3.0, unit)) == words
+
+
+def test_speeds_that_are_the_same_but_for_rounding_go_with_nothing():
+    time, rounding = np.arange(40.0), 1e-16 * np.arange(40)
+    for speed in (1.3 + rounding, np.where(time == 20, 1.0, 1.5) + rounding):
+        assert abs(_rank_correlation(speed, time)) < 0.1
+    assert _rank_correlation(-time, np.exp(time)) == pytest.approx(-1.0)
 
 
 def test_the_sentence_names_equation_and_regime():

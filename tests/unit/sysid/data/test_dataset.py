@@ -12,6 +12,7 @@ from steerd.sysid.data.data_checks import DataError, noise_of
 from steerd.sysid.data.dataset import HISTORY, Signal, hold_means, make_run, pose_rates
 from steerd.sysid.data.excitation import speed_tracking_share
 from steerd.sysid.data.windows import make_layout
+from steerd.sysid.estimation.command_timing import latch
 
 
 def _good(seconds=4.0):
@@ -194,6 +195,10 @@ def test_pieces_stand_for_a_long_drive(long_drive):
         own = long_drive.commands[begin : begin + len(piece.commands)]
         assert np.array_equal(piece.commands, own)
         assert piece.commands.base is None, "a view keeps the whole drive in memory"
+    whole, piece = (latch(replace(run, servo_frame=0.02), 0.0) for run in (long_drive, pieces[3]))
+    first = round(piece.start / piece.h)
+    off = piece.commands - whole.commands[first : first + len(piece.commands)]
+    assert np.abs(off[5:-5]).max() < 0.003, "what led to it stays known where pulses are found"
 
 
 def test_a_short_drive_stays_as_it_is_and_many_are_thinned_evenly_to_what_is_wanted(drive):

@@ -83,6 +83,8 @@ def test_the_setpoint_matches_a_fine_simulation(rate):
             now += float(np.clip(wanted - now, -rate * fine, rate * fine))
     means = np.array(course).reshape(-1, 500).mean(axis=1)
     np.testing.assert_allclose(ramped(run).commands[:, 1], means, atol=2e-5 * rate + 1e-9)
+    for other in (replace(run, speed_ramp=0.0), replace(run, speed_source="wheel")):
+        assert ramped(other) is other, "without ramp or speed command"
 
 
 @pytest.mark.parametrize("had", [True, False])

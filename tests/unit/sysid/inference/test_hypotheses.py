@@ -276,7 +276,8 @@ def test_what_healthy_drives_show_too_is_no_second_cause(both):
     pair, single, weak = found.best.effects, ("speed_scale",), ("steer_delay",)
     by_name = {h.effects: h.point for h in found.hypotheses}
     points = [by_name[()], by_name[single], by_name[pair]]
-    known = [_with_controls(library, _late_by(s, gain=99.0)) for s in (0.04, 0.0)]
+    right = Control("speed_scale", np.ones(1), np.array([[1e-6]]), 99.0)
+    known = [_with_controls(library, _late_by(s, gain=99.0), right) for s in (0.04, 0.0)]
     least, most = (_gain(each, points, pair, single) for each in known)
     assert abs(least) < 0.1 * most
     assert _gain(known[1], [*points, by_name[weak]], pair, single) == pytest.approx(most)
@@ -294,7 +295,7 @@ def test_a_clear_cause_loses_no_more_than_is_usual(late):
     """A large gap promises much along any gradient, also one of which an older file is silent."""
     library, found = late
     points = [found.null.point, found.best.point]
-    other = Control("speed_scale", np.zeros(1), np.eye(1), 0.2)
+    other = Control("marker_offset", np.zeros(2), 1e-9 * np.eye(2), 0.2)
     shown = [(_late_by(0.002, gain=0.0),), (_late_by(0.002, gain=0.1),), (other,)]
     gains = [_gain(_with_controls(library, *each), points) for each in shown]
     most = c.SHOWN_MOST * 0.1 * len(points[0].at.dof)

@@ -7,6 +7,7 @@ import pytest
 
 from steerd.sysid.data.windows import SPACING
 from steerd.sysid.inference import noise as noises
+from steerd.sysid.inference.augmented_car import make_augmented_car
 from steerd.sysid.inference.constants import NOISE_KEPT
 from steerd.sysid.inference.disturbance_response import INPUTS, responses
 from steerd.sysid.inference.likelihood import make_likelihood
@@ -65,6 +66,14 @@ def test_readings_without_derivatives_are_the_same_numbers(healthy, effect, valu
     alone, finite = healthy.errors(space.chart.parameters(z), x)
     assert finite
     assert np.abs(alone - healthy.linear(space, z, x).error).max() < 1e-12
+
+
+def test_a_place_is_as_likely_wherever_the_floor_has_its_origin(drive, base):
+    (run,), away = drive("", runs=1, seconds=4.0), [40.0, -25.0, 0.0]
+    moved = replace(run, pose=run.pose._replace(values=run.pose.values + away))
+    cars = (make_augmented_car(base, [each]) for each in (run, moved))
+    here, there = (make_space(car, (), ("grip_patch",)).centre for car in cars)
+    assert there - here == pytest.approx([*away, 0.0, 0.0])
 
 
 def test_noise_survives_a_car_file_and_drives_noisier_than_known_are_believed():
