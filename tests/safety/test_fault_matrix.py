@@ -66,16 +66,6 @@ def test_the_mistaken_learner_is_followed(phase: str) -> None:
     assert rig.state is SupervisorState.RUNNING
 
 
-def test_a_cell_is_repeatable_to_the_byte() -> None:
-    logs = []
-    for _ in range(2):
-        rig = twin(at_phase("P5"))
-        rig.break_it("M14")
-        rig.go_on(0.6)
-        logs.append(list(rig.run.world.log))
-    assert logs[0] == logs[1]
-
-
 @pytest.mark.parametrize("seed", [1, 2])
 def test_nominal_driving_with_loss_and_gaps_is_not_stopped(seed: int) -> None:
     """A short drive of `benchmarks/no_false_stop.py`: lost and late poses stop no car."""
