@@ -6,8 +6,10 @@ import multiprocessing
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
 from graphlib import TopologicalSorter
+from typing import Any
 
 import pytest
 from grimp import build_graph
@@ -26,23 +28,27 @@ MISSING = (
     "service print --path csv:none.csv", "probe --car none.toml", "effects --add none.py",
     "export none.toml -o car.xml", "config --check none.toml", "config --from-vesc-yaml none.yaml",
     "mocap check none.mcap", "mocap check --car none.toml", "mocap calibrate none.mcap",
-    "mocap calibrate {here} --car none.toml", "calibrate servo none.mcap",
-    "calibrate servo --car none.toml", "identify none.mcap", "identify {here} --car none.toml",
-    "identify {here} --held-out none.mcap", "diagnose none.mcap",
-    "diagnose {here} --base none.toml", "diagnose {here} --held-out {here},none.mcap",
-    "diagnose {here} --healthy none.mcap", "replay none.mcap", "sessions tag none.mcap wet",
-    "sessions note none.mcap good", "info none.mcap", "plot {here} none.mcap", "recover none.mcap",
-    "learn none.mcap", "learn {here} --base none.toml", "sweep none.toml",
-    "batch summarise none.mcap", "batch identify {here} --cars none.toml",
-    "import {here} --map none.toml",
+    "mocap calibrate drive --car none.toml", "calibrate servo none.mcap",
+    "calibrate servo --car none.toml", "identify none.mcap", "identify drive --car none.toml",
+    "identify drive --held-out none.mcap", "diagnose none.mcap",
+    "diagnose drive --base none.toml", "diagnose drive --held-out drive,none.mcap",
+    "diagnose drive --healthy none.mcap", "replay none.mcap", "sessions tag none.mcap wet",
+    "sessions note none.mcap good", "info none.mcap", "plot drive none.mcap", "recover none.mcap",
+    "learn none.mcap", "learn drive --base none.toml", "sweep none.toml",
+    "batch summarise none.mcap", "batch identify drive --cars none.toml",
+    "import drive --map none.toml",
 )  # fmt: skip
-"""A line for every argument that names a file; `{here}` is a file that exists."""
+"""A line for every argument that names a file; `drive` is a file that exists, and no session."""
 
 
-def run_here(line: str, folder: str) -> tuple[int, str, set[str]]:
-    """In a process of its own: a command's exit code, what it said, and what heavy it loaded."""
+def run_here(lines: Iterable[str], folder: str) -> dict[str, tuple[int, str, set[str]]]:
+    """In a process of its own: each command's exit code, what it said, and what heavy is loaded."""
     os.chdir(folder)
     os.environ["XDG_DATA_HOME"] = folder
+    return {line: run_line(line) for line in lines}
+
+
+def run_line(line: str) -> tuple[int, str, set[str]]:
     said = io.StringIO()
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
         try:
@@ -53,34 +59,35 @@ def run_here(line: str, folder: str) -> tuple[int, str, set[str]]:
 
 
 @pytest.fixture(scope="module")
-def load() -> Iterator[Callable[..., tuple[int, str, set[str]]]]:
+def load(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Any]]:
     """`run_here` in a fresh fork of a process that has loaded the command line and no more."""
-    context = multiprocessing.get_context("forkserver")
+    context, folder = multiprocessing.get_context("forkserver"), tmp_path_factory.mktemp("here")
+    (folder / "drive").write_bytes(b"a file")
     context.set_forkserver_preload(["steerd.daemon.cli.main"])
     with context.Pool(1, maxtasksperchild=1) as pool:
-        yield lambda line, folder: pool.apply(run_here, (line, str(folder)))
+        yield cache(lambda lines: pool.apply(run_here, (lines, str(folder))))
 
 
 @pytest.mark.parametrize("line", MISSING)
-def test_a_file_that_is_not_there_is_reported_before_anything_heavy_is_loaded(line, tmp_path, load):
-    (tmp_path / "here.mcap").write_bytes(b"a file")
-    code, said, loaded = load(line.format(here="here.mcap"), tmp_path)
+def test_a_file_that_is_not_there_is_reported_before_anything_heavy_is_loaded(line, load):
+    code, said, loaded = load(MISSING)[line]
     assert code == (2 if "csv:" in line else 3), said
     assert "none." in said.splitlines()[0]
     assert loaded == set()
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_loads_nothing_heavy(name, tmp_path, load):
-    code, said, loaded = load(f"{name} --help", tmp_path)
+def test_help_loads_nothing_heavy(name, load):
+    code, said, loaded = load(tuple(f"{each} --help" for each in COMMANDS))[f"{name} --help"]
     assert code == 0, said
     assert loaded <= {"zenoh"}  # arm, stop and the like: nothing of them works without it
 
 
-def test_words_that_are_no_files_pass(tmp_path, load):
+def test_words_that_are_no_files_pass(load):
     """`@last` without a session is the list's to report, `hidden:x` the simulator's."""
-    assert "no sessions in" in load("info @last", tmp_path)[1]
-    assert "the seed is a whole number" in load(f"{SIM} --sim-car hidden:x", tmp_path)[1]
+    last, hidden = load(("info @last", f"{SIM} --sim-car hidden:x")).values()
+    assert "no sessions in" in last[1]
+    assert "the seed is a whole number" in hidden[1]
 
 
 # One import name, its members, and no circle among them.

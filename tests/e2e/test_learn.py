@@ -21,16 +21,18 @@ pytestmark = pytest.mark.slow
 
 
 def test_the_lane_error_of_an_unknown_car_falls_to_millimetres(tmp_path, cli):
+    car = "--sim --fast --sim-car hidden:4"
+
     def go(line):
         return cli(*line.format(folder=tmp_path).split()).out
 
     def drive(*more):
-        line = "run --sim --fast --sim-car hidden:4 --speed 2 --duration 12 --record"
+        line = f"run {car} --speed 2 --duration 12 --record"
         said = go(" ".join([line, f"{{folder}}/drive{len(more)}.mcap", *more]))
         return float(re.search(r"lateral error RMS ([\d.]+) mm", said)[1])
 
     before = drive()
-    go("collect --sim --fast --sim-car hidden:4 --plan mixed --record {folder}/mixed.mcap")
+    go(f"collect {car} --plan mixed --duration 30 --record {{folder}}/mixed.mcap")
     found = go("identify {folder}/mixed.mcap --wheelbase 0.3302 -o {folder}/car.toml")
     assert re.search(r"next steerd run --sim --fast .*--sim-car hidden:4", " ".join(found.split()))
     after = drive("--car", "{folder}/car.toml")

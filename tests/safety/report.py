@@ -9,7 +9,7 @@ import json
 import os
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
 
@@ -36,12 +36,11 @@ def read_kept(path: Path | None) -> dict[tuple[str, str], Outcome]:
     """The cells that were driven already, by fault and phase."""
     if path is None or not path.exists():
         return {}
-    names = {each.name for each in fields(Outcome)}
     kept = {}
     for line in path.read_text(encoding="utf-8").splitlines():
-        found = {key: value for key, value in json.loads(line).items() if key in names}
+        found = json.loads(line)
         lists = {key: tuple(value) for key, value in found.items() if isinstance(value, list)}
-        kept[found["code"], found["phase"]] = Outcome(**{**found, **lists})
+        kept[found["code"], found["phase"]] = Outcome(**(found | lists))
     return kept
 
 

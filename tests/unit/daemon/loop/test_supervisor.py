@@ -223,6 +223,8 @@ def test_stop_ramps_at_1_5_then_brakes_softly_and_arms_again():
     assert (car.action.motor, car.action.cap) == (MotorOutput.RAMP_STOP, 2.0)
     car.tick(speed=1.0)
     assert car.action.cap == pytest.approx(1.985)
+    car.tick(dt=-20 * MS)
+    assert car.action.cap == pytest.approx(1.985), "nor does a clock that runs backwards raise it"
     assert car.outputs() == (MotorOutput.RAMP_STOP, SteeringOutput.LIVE)
     assert car.motor_at(0.3) == MotorOutput.RAMP_STOP
     assert car.motor_at(0.2999) == MotorOutput.SOFT_BRAKE
