@@ -21,11 +21,7 @@ from steerd.steer_bus.session_read import SessionError
 
 
 def make_recording(plan: RunPlan, path: Path) -> Recording:
-    """A session file for a run in virtual time.
-
-    Raises:
-        SteerdError: it cannot be created.
-    """
+    """A session file for a run in virtual time; a SteerdError where it cannot be created."""
     try:
         return Recording(make_recorder_job(plan, path, {}))
     except SessionError as error:
@@ -88,10 +84,8 @@ def run_fast(plan: RunPlan) -> int:
     board, duration = Dashboard(""), plan.options.duration_s
 
     def see(records: list[PipeRecord], t_ns: int) -> None:
-        for each in records:
-            line = board.take(each)
-            if line is not None:
-                print(f"{t_ns * 1e-9:8.2f} s  {line}")
+        for line in filter(None, map(board.take, records)):
+            print(f"{t_ns * 1e-9:8.2f} s  {line}")
 
     def go(run: VirtualRun) -> None:
         driven = count(1)
@@ -122,11 +116,7 @@ def run_fast(plan: RunPlan) -> int:
 
 
 def check_driven(run: VirtualRun) -> None:
-    """Refuse a run in which the car was never driven.
-
-    Raises:
-        SteerdError: what it was waiting for.
-    """
+    """Refuse a run in which the car was never driven: a SteerdError says what it waited for."""
     if not run.core.loop.ran:
         waiting = run.core.last.waiting if run.core.last else ""
         raise SteerdError(f"the car was never driven: waiting for {waiting}", "", ExitCode.STOPPED)
