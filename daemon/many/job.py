@@ -6,7 +6,9 @@ which pandas, polars, DuckDB, R and MATLAB read without a word about types or un
 only file that knows PyArrow.
 """
 
+import hashlib
 import io
+import json
 import sqlite3
 import sys
 import time
@@ -89,6 +91,11 @@ class Found(Reported):
         check_outputs({"save_table": Path(path)})
         write_outputs({Path(path): self.encode_table()})
         return Path(path)
+
+
+def make_digest(values: Any) -> str:
+    """SHA-256 of JSON values: of what rows depend on."""
+    return hashlib.sha256(json.dumps(values).encode()).hexdigest()
 
 
 F = TypeVar("F", bound=Found)

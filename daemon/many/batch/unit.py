@@ -1,8 +1,6 @@
 """The sessions of a batch, what is asked of each, and its row of the table."""
 
 import glob
-import hashlib
-import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +14,7 @@ from steerd.car_model.params import wheelbase
 from steerd.daemon.assembly.session_meta import is_virtual
 from steerd.daemon.common.errors import ExitCode, SteerdError, load_car_file
 from steerd.daemon.common.screen import clean
+from steerd.daemon.many.job import make_digest
 from steerd.daemon.sessions.info import load_session
 
 _EARLIEST_NS = 946_684_800_000_000_000
@@ -36,8 +35,7 @@ class Question:
     def digest(self) -> str:
         """What a session's row depends on, beside the session itself."""
         texts = {name: [car.text, car.posterior] for name, car in sorted(self.cars.items())}
-        text = json.dumps([self.kind, texts])
-        return hashlib.sha256(text.encode()).hexdigest()
+        return make_digest([self.kind, texts])
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ def read_content(task: UnitTask) -> UnitTask:
 
 
 def find_batch(words: Sequence[str]) -> list[Path]:
-    """Sessions that folders (with all below them), patterns and files name; each once.
+    """Sessions that folders (with all below), patterns and files name, each once.
 
     Raises:
         SteerdError: a word names nothing.
@@ -112,11 +110,7 @@ def make_tasks(paths: Sequence[Path]) -> dict[str, UnitTask]:
 
 
 def run_unit(question: Question, task: UnitTask) -> dict[str, Any]:
-    """The row of one session.
-
-    Raises:
-        SteerdError: the session cannot be used for what is asked.
-    """
+    """The row of one session; a SteerdError where it cannot be used for what is asked."""
     if task.content is None:
         return _answer(task.path, question, task.changed_ns)
     with tempfile.TemporaryDirectory(prefix="steerd-") as folder:

@@ -3,9 +3,7 @@
 A sweep file is TOML; `steerd sweep --example` prints one.
 """
 
-import hashlib
 import itertools
-import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from math import exp, isfinite, log, prod
@@ -20,6 +18,7 @@ from steerd.car_model.effects import find_effect
 from steerd.car_model.params import PARAMETERS
 from steerd.daemon.analysis.options import read_car
 from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean, refusing
+from steerd.daemon.many.job import make_digest
 from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.toml_text import load_toml
@@ -35,8 +34,14 @@ class Quantity(NamedTuple):
     meaning: str  # one line
     # The car file's or the simulator's own value; None where there is none
     usual: float | None = None
-    # Of an instrument, in its device's configuration: they sum up, and the first one is varied
+    # Names in the car; an effect and its parameter; in the configuration of an instrument's device,
+    # where they sum up and the first one is varied
     fields: tuple[str, ...] = ()
+
+    @property
+    def kind(self) -> str:
+        """`car`, `effect`, `mocap`, `vesc`, or the name of what stands alone."""
+        return self.name.partition(".")[0]
 
     @property
     def is_text(self) -> bool:
@@ -69,15 +74,12 @@ _DRIVE = (
 
 
 def find_quantity(name: str, car: CarFile) -> Quantity:
-    """The quantity of a name.
-
-    Raises:
-        ValueError: there is none; the message offers the nearest.
-    """
+    """The quantity of a name; a ValueError offers the nearest where there is none."""
     known = {q.name: q for q in (*_DRIVE, *INSTRUMENTS)}
     for p in PARAMETERS:
         usual = float(getattr(car.car, p.name))
-        known[f"car.{p.name}"] = Quantity(f"car.{p.name}", p.low, p.high, p.unit, p.meaning, usual)
+        about = p.low, p.high, p.unit, p.meaning, usual, (p.name,)
+        known[f"car.{p.name}"] = Quantity(f"car.{p.name}", *about)
     if name in known:
         return known[name]
     kind, _, rest = name.partition(".")
@@ -92,7 +94,8 @@ def find_quantity(name: str, car: CarFile) -> Quantity:
     chosen = parameters.get(wanted) if wanted else effect.parameters[0]
     if chosen is None:
         raise ValueError(f"{effect.name} has no {wanted!r}, but {', '.join(parameters)}")
-    return Quantity(name, chosen.low, chosen.high, chosen.unit, chosen.meaning, chosen.null)
+    fields = effect.name, chosen.name
+    return Quantity(name, chosen.low, chosen.high, chosen.unit, chosen.meaning, chosen.null, fields)
 
 
 _STREAM = 23  # keeps these numbers apart from those of the simulated instruments' noise
@@ -142,11 +145,7 @@ class Distribution:
         return FORMS[self.shape].words.format(f"{self.one:.4g}", f"{self.other:.4g}")
 
     def draw(self, name: str, seed: int) -> float:
-        """The value of a seed.
-
-        Raises:
-            ValueError: nearly everything lies outside the bounds.
-        """
+        """The value of a seed; a ValueError where nearly everything lies outside the bounds."""
         rng = np.random.default_rng([_STREAM, crc32(name.encode()), seed])
         for _ in range(_REDRAWS):
             value = float(FORMS[self.shape].draw(rng, self.one, self.other))
@@ -156,10 +155,9 @@ class Distribution:
 
 
 def parse_distribution(quantity: Quantity, given: Mapping[str, Any]) -> Distribution:
-    """The distribution of a quantity, as a TOML table or a dictionary says it.
+    """The distribution of a quantity, as a TOML table or a dictionary says it, see `_GIVEN`.
 
-    That is `low` and `high`, also with `log`; `mean` and `sd`; `median` and `factor`; or `share` of
-    the usual value as a standard deviation.
+    A `share` of the usual value is a standard deviation.
 
     Raises:
         ValueError: it is none of these, or lies outside the bounds.
@@ -178,14 +176,14 @@ def parse_distribution(quantity: Quantity, given: Mapping[str, Any]) -> Distribu
     if shape == "log_uniform" and rest["log"] is not True:
         shape = "uniform"
     one, other = (_number(name, key, rest[key]) for key in FORMS[shape].keys[:2])
-    ends = (one, other) if "low" in rest else (one,)
+    two_ends = "low" in rest
     if shape.startswith("log") and not (one > 0.0 and other > 0.0):
         raise ValueError(f"{name}: a logarithm needs positive numbers")
-    if len(ends) == 2 and not one < other:
+    if two_ends and not one < other:
         raise ValueError(f"{name}: low {one:g} is not below high {other:g}")
-    if len(ends) == 1 and not other > 0.0:
+    if not two_ends and not other > 0.0:
         raise ValueError(f"{name}: a spread of {other:g}: more than 0")
-    for value in ends:
+    for value in (one, other) if two_ends else (one,):
         check_bounds(name, value, quantity.low, quantity.high)
     return Distribution(shape, one, other, quantity.low, quantity.high)
 
@@ -197,11 +195,7 @@ def _number(name: str, key: str, value: Any) -> float:
 
 
 def check_bounds(name: str, value: Any, low: float, high: float) -> float:
-    """A number within its bounds.
-
-    Raises:
-        ValueError: it is none, or lies outside.
-    """
+    """A number within its bounds; a ValueError for anything else."""
     number = _number(name, "the value", value)
     if not low <= number <= high:
         raise ValueError(f"{name} = {number:g}: {low:g} to {high:g}")
@@ -247,8 +241,7 @@ class SweepPlan:
             for name, choice in self.vary.items()
         }
         rest = [self.car.text, self.seeds, self.duration, self.rate, self.path, self.speed]
-        text = json.dumps([choices, *rest])
-        return hashlib.sha256(text.encode()).hexdigest()
+        return make_digest([choices, *rest])
 
 
 @dataclass(frozen=True)

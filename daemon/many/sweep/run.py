@@ -1,7 +1,7 @@
 """`steerd.sweep`: many drives of the closed loop in virtual time, as a table and a page."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from math import nan
@@ -10,9 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from steerd.car_model.effects import find_effect
 from steerd.car_model.model import believed_car
-from steerd.car_model.params import PARAMETERS
 from steerd.car_model.path.path import locate, project
 from steerd.controller.design import assess, delay_margin
 from steerd.controller.loop_model import Timing
@@ -22,29 +20,15 @@ from steerd.daemon.assembly.build import NS, RunPlan, make_world_config
 from steerd.daemon.common.errors import SteerdError, UsageError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
-from steerd.daemon.common.screen import shown
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.many.job import FAILED, Job, do_in_notebook
 from steerd.daemon.many.sweep import plan as plans
-from steerd.daemon.many.sweep.plan import DriveCase, SweepPlan
-from steerd.daemon.many.sweep.summary import Summary
+from steerd.daemon.many.sweep.plan import DriveCase, Quantity, SweepPlan
+from steerd.daemon.many.sweep.summary import Sweep
 from steerd.daemon.many.units import Done, Where
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
 from steerd.daemon.sessions.motion import SETTLE, rms
 from steerd.sim_hw.world import World, WorldConfig
-from steerd.sysid.report.report import Report
-
-
-@shown
-@dataclass(frozen=True, eq=False)
-class Sweep(Summary):
-    """What a sweep found; `print(sweep)` is the screen of `steerd sweep`."""
-
-    def make_report(self) -> Report:
-        """What the page shows: distributions, stops, sensitivity of each to each."""
-        from steerd.daemon.many.sweep.page import make_report
-
-        return make_report(self)
 
 
 @speaking_of_arguments
@@ -104,11 +88,7 @@ def make_job(plan: SweepPlan) -> Job[Sweep]:
 
 
 def find_case(plan: SweepPlan, number: int) -> DriveCase:
-    """One drive of a sweep, to be driven again alone.
-
-    Raises:
-        SteerdError: there is no such drive.
-    """
+    """One drive of a sweep, to be driven again alone; a SteerdError where there is none."""
     if not 0 <= number < plan.count:
         raise UsageError(f"there is no drive {number}: they are 0 to {plan.count - 1}")
     return next(islice(plans.list_cases(plan), number, None))
@@ -160,29 +140,27 @@ def prepare(plan: SweepPlan, case: DriveCase) -> tuple[RunPlan, WorldConfig]:
     """
     values = case.values
     speed, path = float(values.get("speed", plan.speed)), str(values.get("path", plan.path))
+    numbers = {q: float(values[q.name]) for q in plan.quantities if not q.is_text}
+    drawn = {q.fields[0]: value for q, value in numbers.items() if q.kind == "car"}
     effects: dict[str, dict[str, float]] = {}
-    for name, value in values.items():
-        kind, _, rest = name.partition(".")
-        if kind == "effect":
-            effect, _, parameter = rest.partition(".")
-            parameter = parameter or find_effect(effect).parameters[0].name
-            effects.setdefault(effect, {})[parameter] = float(value)
+    for q, value in numbers.items():
+        if q.kind == "effect":
+            effect, parameter = q.fields
+            effects.setdefault(effect, {})[parameter] = value
     run_plan = plan_drive(plan.car, path, speed, plan.duration, case.seed, effects, rate=plan.rate)
-    names = [p.name for p in PARAMETERS if f"car.{p.name}" in values]
-    drawn = {name: float(values[f"car.{name}"]) for name in names}
     settings = run_plan.settings
     car = replace(settings.file, car=settings.file.car._replace(**drawn))
     run_plan = replace(run_plan, drawn=replace(settings, file=car))
-    return run_plan, _vary_instruments(make_world_config(run_plan), values)
+    return run_plan, _vary_instruments(make_world_config(run_plan), numbers)
 
 
-def _vary_instruments(config: WorldConfig, values: Mapping[str, float | str]) -> WorldConfig:
-    for quantity in (each for each in plans.INSTRUMENTS if each.name in values):
-        name, (first, *others) = quantity.name.partition(".")[0], quantity.fields
-        device, value = getattr(config, name), float(values[quantity.name])
-        if first.endswith("_ns"):
-            value = max(round(value * NS) - sum(getattr(device, each) for each in others), 0)
-        config = replace(config, **{name: replace(device, **{first: value})})
+def _vary_instruments(config: WorldConfig, numbers: Mapping[Quantity, float]) -> WorldConfig:
+    for q, value in numbers.items():
+        if q.kind in ("mocap", "vesc"):
+            device, (first, *others) = getattr(config, q.kind), q.fields
+            if first.endswith("_ns"):
+                value = max(round(value * NS) - sum(getattr(device, each) for each in others), 0)
+            config = replace(config, **{q.kind: replace(device, **{first: value})})
     return config
 
 
