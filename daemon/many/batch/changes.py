@@ -16,6 +16,7 @@ the Particle Data Group's reviews apply it).
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from math import erfc, sqrt
 from typing import NamedTuple
 
@@ -23,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.daemon.common.screen import clean
-from steerd.daemon.many.batch.unit import day_of
 from steerd.daemon.many.job import Rows
 from steerd.sysid.report.report import Table
 
@@ -75,6 +75,11 @@ class Change:
     def sigmas(self) -> float:
         """Size of the step in its standard errors."""
         return abs(self.after - self.before) / self.sd
+
+
+def day_of(start: float) -> str:
+    """The day of a time [UNIX s], in UTC."""
+    return f"{datetime.fromtimestamp(start, UTC):%Y-%m-%d}"
 
 
 class Band(NamedTuple):
