@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from steerd.daemon.analysis.simulation import simulate
     from steerd.daemon.common.errors import SteerdError
     from steerd.daemon.many.batch.run import Batch, batch
-    from steerd.daemon.many.sweep.run import sweep
-    from steerd.daemon.many.sweep.summary import Sweep
+    from steerd.daemon.many.sweep.run import Sweep, sweep
     from steerd.daemon.process.external_controller import serve
 
 __all__ = [
@@ -43,8 +42,7 @@ _NAMES = {
     "analysis.simulation": ("simulate",),
     "common.errors": ("SteerdError",),
     "many.batch.run": ("Batch", "batch"),
-    "many.sweep.run": ("sweep",),
-    "many.sweep.summary": ("Sweep",),
+    "many.sweep.run": ("Sweep", "sweep"),
     "process.external_controller": ("serve",),
 }
 _MODULES = {name: module for module, names in _NAMES.items() for name in names}

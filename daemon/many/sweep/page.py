@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.sweep import summary as figures
 from steerd.daemon.many.sweep.plan import DRIVEN, Choice, Distribution
-from steerd.daemon.many.sweep.summary import Sweep
+from steerd.daemon.many.sweep.summary import Summary
 from steerd.sysid.report.drawing import AFTER, BEFORE, Diagrams
 from steerd.sysid.report.report import Card, Cell, Report, Section, Table
 
@@ -21,7 +21,7 @@ _MOVED = 0.01
 _VALUES = 6  # values of a list that are shown
 
 
-def make_report(found: Sweep) -> Report:
+def make_report(found: Summary) -> Report:
     """The page: distributions, stops, sensitivity of each to each."""
     plan = found.plan
     fixed = [] if "path" in plan.vary else [plan.path]
@@ -66,7 +66,7 @@ def make_report(found: Sweep) -> Report:
     )
 
 
-def _cards(found: Sweep) -> Iterator[Card]:
+def _cards(found: Summary) -> Iterator[Card]:
     """The figures that are read first."""
     driven = next(share for share in found.outcomes if share.name == DRIVEN)
     stops = sum(share.count for share in found.watchdogs)
@@ -82,7 +82,7 @@ def _cards(found: Sweep) -> Iterator[Card]:
         )
 
 
-def _moves(found: Sweep) -> Table:
+def _moves(found: Summary) -> Table:
     """A row for each measure: there are more measures than quantities, and pages are narrow."""
     heads = [*dict.fromkeys(s.quantity for s in found.sensitivities)]
     cells = {(s.quantity, s.measure): s for s in found.sensitivities}
@@ -103,7 +103,7 @@ def _describe(choice: Choice) -> str:
     return shown + (", …" if len(choice) > _VALUES else "")
 
 
-def _draw_histograms(found: Sweep) -> list[Diagrams]:
+def _draw_histograms(found: Summary) -> list[Diagrams]:
     """How often each measure takes which value."""
     names = [spread.name for spread in found.spreads]
 
@@ -119,7 +119,7 @@ def _draw_histograms(found: Sweep) -> list[Diagrams]:
     return [Diagrams(plot, 1.9, count=len(names), columns=3)] if names else []
 
 
-def _draw_scatters(found: Sweep) -> list[Diagrams]:
+def _draw_scatters(found: Summary) -> list[Diagrams]:
     """The strongest dependences, a point for each drive."""
     units = {q.name: q.unit for q in found.plan.quantities}
     strong = [s for s in found.list_strongest() if s.measure != figures.STOPS][:_SCATTERS]

@@ -1,7 +1,7 @@
 """`steerd.sweep`: many drives of the closed loop in virtual time, as a table and a page."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from math import nan
@@ -20,15 +20,29 @@ from steerd.daemon.assembly.build import NS, RunPlan, make_world_config
 from steerd.daemon.common.errors import SteerdError, UsageError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
+from steerd.daemon.common.screen import shown
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.many.job import FAILED, Job, do_in_notebook
 from steerd.daemon.many.sweep import plan as plans
 from steerd.daemon.many.sweep.plan import DriveCase, Quantity, SweepPlan
-from steerd.daemon.many.sweep.summary import Sweep
+from steerd.daemon.many.sweep.summary import Summary
 from steerd.daemon.many.units import Done, Where
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
 from steerd.daemon.sessions.motion import SETTLE, rms
 from steerd.sim_hw.world import World, WorldConfig
+from steerd.sysid.report.report import Report
+
+
+@shown
+@dataclass(frozen=True, eq=False)
+class Sweep(Summary):
+    """What a sweep found; `print(sweep)` is the screen of `steerd sweep`."""
+
+    def make_report(self) -> Report:
+        """What the page shows: distributions, stops, sensitivity of each to each."""
+        from steerd.daemon.many.sweep.page import make_report
+
+        return make_report(self)
 
 
 @speaking_of_arguments

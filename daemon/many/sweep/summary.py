@@ -9,11 +9,11 @@ from math import sqrt
 import numpy as np
 from scipy import stats
 
-from steerd.daemon.common.screen import clean, shown, wrap
+from steerd.daemon.common.screen import clean, wrap
 from steerd.daemon.many.job import FAILED, Column, Found, Rows
 from steerd.daemon.many.sweep.plan import DRIVEN, REFUSED, STOPPED, SweepPlan
 from steerd.sysid.data.data_checks import Array
-from steerd.sysid.report.report import SCALES, Report, Table, format_table
+from steerd.sysid.report.report import SCALES, Table, format_table
 
 QUANTILES = (0.05, 0.5, 0.95)
 _Z = 1.96  # standard deviations of a 95 % interval
@@ -151,10 +151,9 @@ def find_scale(name: str) -> tuple[float, str]:
     return factor, f"{name} [{unit}]" if unit else name
 
 
-@shown
 @dataclass(frozen=True, eq=False)
-class Sweep(Found):
-    """What a sweep found; `print(sweep)` is the screen of `steerd sweep`."""
+class Summary(Found):
+    """The drives of a sweep and their figures; `str` is the screen of `steerd sweep`."""
 
     plan: SweepPlan  # what was driven
 
@@ -166,12 +165,6 @@ class Sweep(Found):
             for q in self.plan.quantities
         )
         return (*_HEAD, *varied, *_ENDS, *MEASURES)
-
-    def make_report(self) -> Report:
-        """What the page shows: distributions, stops, sensitivity of each to each."""
-        from steerd.daemon.many.sweep.page import make_report
-
-        return make_report(self)
 
     @cached_property
     def outcomes(self) -> tuple[Share, ...]:

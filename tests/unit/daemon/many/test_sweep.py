@@ -7,8 +7,8 @@ from steerd.car_model.car_file import default_car_path, load_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.many.sweep import plan as planning
 from steerd.daemon.many.sweep.plan import Quantity, list_cases, parse_distribution
-from steerd.daemon.many.sweep.run import find_case, prepare, run_case
-from steerd.daemon.many.sweep.summary import STOPS, Sweep, make_share
+from steerd.daemon.many.sweep.run import Sweep, find_case, prepare, run_case
+from steerd.daemon.many.sweep.summary import STOPS, make_share
 
 CAR = load_car(default_car_path())
 
