@@ -34,11 +34,7 @@ _SHOWN = 12  # column names that an error lists
 
 
 def open_table(source: Path) -> TextIO:
-    """Open a csv file as text.
-
-    Raises:
-        SteerdError: it is no regular file, is empty, or cannot be opened.
-    """
+    """Open a csv file as text; a SteerdError where it is no file, empty or unreadable."""
     with refusing(f"{source} cannot be read: "):
         if not source.is_file():
             raise SteerdError(f"{source} is not a file", "name a csv file", ExitCode.UNREADABLE)
@@ -93,11 +89,7 @@ class CsvTable:
                 yield values
 
     def number(self, texts: list[str], column: int) -> float | None:
-        """The number in a cell; None where it holds none.
-
-        Raises:
-            SteerdError: it holds something else.
-        """
+        """The number in a cell, None where it is empty; a SteerdError for something else."""
         text = texts[column].strip() if column < len(texts) else ""
         if text.lower() in _NO_VALUE:
             return None
@@ -275,11 +267,7 @@ _TICKS = ((1e5, 1e-9), (300.0, 1e-6), (0.9, 1e-3))
 
 
 def propose_csv(source: Path) -> Proposal:
-    """Columns of a table, with the scales that make them SI.
-
-    Raises:
-        SteerdError: the file cannot be read.
-    """
+    """Columns of a table, with the scales that make them SI; a SteerdError where it is none."""
     with open_table(source) as file:
         table = CsvTable(source.name, file)
         rows = list(itertools.islice(table.texts(), _ROWS))

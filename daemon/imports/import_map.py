@@ -91,11 +91,7 @@ class ImportMap:
 
 
 def load_map(path: Path) -> ImportMap:
-    """Read a map.
-
-    Raises:
-        SteerdError: it cannot be read, is no TOML, or says something impossible.
-    """
+    """Read a map; a SteerdError where it is unreadable or says something impossible."""
     try:
         return replace(parse_map(read_toml(path)), name=f"map {path}")
     except OSError as error:
@@ -106,11 +102,7 @@ def load_map(path: Path) -> ImportMap:
 
 
 def parse_map(text: str) -> ImportMap:
-    """Check the text of a map.
-
-    Raises:
-        ValueError: it is no TOML, or says something impossible; one line.
-    """
+    """Check the text of a map; a ValueError says in a line what makes no sense."""
     try:
         tables = msgspec.convert(parse_toml(text), _Tables)
         frame = None if tables.frame is None else read_frame(tables.frame)

@@ -204,11 +204,7 @@ def make_record(report: m.Model, number: int, log_time_ns: int) -> PipeRecord:
 
 
 def read_memory(text: str) -> Memory | None:
-    """What was learnt in an earlier drive, as `kept.recall` writes it; None for an empty text.
-
-    Raises:
-        ValueError: it is something else.
-    """
+    """What `kept.recall` wrote, None for an empty text; a ValueError for anything else."""
     if not text:
         return None
     try:

@@ -80,11 +80,7 @@ class LaneSession:
 
 
 def make_lane_session(read: Recording) -> LaneSession:
-    """What a drive did along its lane.
-
-    Raises:
-        SteerdError: it followed no lane.
-    """
+    """What a drive did along its lane; a SteerdError where it followed none."""
     path = read.info.path
     lane, state = load_lane(read.session), read.table(topics.STATE)
     if lane is None or state is None:

@@ -83,11 +83,7 @@ class SessionReport:
 
 
 def load_session(path: Path) -> Session:
-    """Open a session for a command.
-
-    Raises:
-        SteerdError: it cannot be opened, or holds nothing at all.
-    """
+    """Open a session for a command; a SteerdError where that fails or it holds nothing at all."""
     with reading(path):
         session = session_read.open_session(path)
     if not session.info().count and not session.info().metadata:
@@ -191,11 +187,7 @@ def read_recording(session: Session) -> Recording:
 
 
 def make_session_report(read: Recording) -> SessionReport:
-    """Summarise a session.
-
-    Raises:
-        SteerdError: the file has changed since it was opened.
-    """
+    """Summarise a session; a SteerdError where its file has changed since it was opened."""
     with reading(read.info.path):
         info, track = read.info, read.track
         steer, wheel = read.signal(topics.ACTUATION, "steer"), read.signal(topics.WHEEL, "speed")

@@ -115,8 +115,7 @@ class Form(NamedTuple):
 FORMS: Mapping[Shape, Form] = {
     "uniform": Form(("low", "high"), lambda rng, a, b: rng.uniform(a, b), "{} to {}"),
     "log_uniform": Form(
-        ("low", "high", "log"),
-        lambda rng, a, b: exp(rng.uniform(log(a), log(b))),
+        ("low", "high", "log"), lambda rng, a, b: exp(rng.uniform(log(a), log(b))),
         "{} to {} (logarithmic)",
     ),
     "normal": Form(("mean", "sd"), lambda rng, a, b: rng.normal(a, b), "{} ± {}"),
@@ -254,28 +253,19 @@ class DriveCase:
 
 
 def list_cases(plan: SweepPlan) -> Iterator[DriveCase]:
-    """Every combination of the lists, each with every seed.
-
-    Raises:
-        SteerdError: a distribution never yields what its quantity may be.
-    """
+    """Every combination of the lists with every seed; a SteerdError where no draw is in bounds."""
     lists = {name: c for name, c in plan.vary.items() if isinstance(c, tuple)}
     drawn = {name: c for name, c in plan.vary.items() if isinstance(c, Distribution)}
-    number = itertools.count()
-    for combination in itertools.product(*lists.values()):
-        fixed = dict(zip(lists, combination, strict=True))
-        for seed in plan.seeds:
-            with refusing():
-                values = fixed | {name: each.draw(name, seed) for name, each in drawn.items()}
-            yield DriveCase(next(number), seed, {name: values[name] for name in plan.vary})
+    crossed = itertools.product(itertools.product(*lists.values()), plan.seeds)
+    for number, (listed, seed) in enumerate(crossed):
+        with refusing():
+            values = dict(zip(lists, listed, strict=True))
+            values |= {name: each.draw(name, seed) for name, each in drawn.items()}
+        yield DriveCase(number, seed, {name: values[name] for name in plan.vary})
 
 
 def load_sweep(path: Path) -> SweepPlan:
-    """The sweep of a file.
-
-    Raises:
-        SteerdError: it or its car file cannot be read, or says something impossible.
-    """
+    """The sweep of a file; a SteerdError where it or its car file makes no sense."""
     with refusing(f"{path}: ", code=ExitCode.INVALID):
         given = load_toml(path)
     car = given.pop("car", None)

@@ -147,11 +147,7 @@ def run_case(plan: SweepPlan, case: DriveCase) -> dict[str, Any]:
 
 
 def prepare(plan: SweepPlan, case: DriveCase) -> tuple[RunPlan, WorldConfig]:
-    """The drive's plan, and its simulated hardware.
-
-    Raises:
-        SteerdError: a path or a value cannot be used.
-    """
+    """The drive's plan and simulated hardware; a SteerdError where a value cannot be used."""
     values = case.values
     speed, path = float(values.get("speed", plan.speed)), str(values.get("path", plan.path))
     numbers = {q: float(values[q.name]) for q in plan.quantities if not q.is_text}
