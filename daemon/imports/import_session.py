@@ -57,11 +57,7 @@ def check_output(out: Path) -> None:
 
 
 def hash_file(path: Path) -> str:
-    """SHA-256 of a file, or of a bag folder's files in order of their names.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """SHA-256 of a file, or of a bag folder's files in order of their names."""
     digest = hashlib.sha256()
     for part in sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]:
         with part.open("rb") as file:

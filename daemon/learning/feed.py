@@ -216,10 +216,6 @@ def read_memory(text: str) -> Memory | None:
 
 
 def make_feed(car: CarFile, wiring: Wiring, memory: Memory | None = None) -> Feed:
-    """A feed at its start; `memory` is of an earlier drive of this car.
-
-    Raises:
-        ValueError: what identify wrote into the car file is not what it writes.
-    """
+    """A feed at its start, with what is remembered; a ValueError where the car file is damaged."""
     ramp = RAMP_ERPM / abs(wiring.scaling.erpm_gain)
     return Feed(make_learner(car, ramp, memory), wiring, State())

@@ -124,10 +124,7 @@ def do_job(
     output: Path | None = None,
     progress: Callable[[float], None] = lambda done: None,
 ) -> F:
-    """Do what an earlier start did not finish.
-
-    What is finished lies beside `output`, the table that is to be written; `progress` is called
-    with the number of units done.
+    """Do what an earlier start did not finish; that lies beside `output`, the table to be written.
 
     Raises:
         SteerdError: what lies there belongs to other work, or the cluster is lost.

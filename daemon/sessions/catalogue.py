@@ -84,11 +84,7 @@ def find_sessions(folders: Iterable[Path]) -> list[Path]:
 
 
 def find_session(text: str, folders: Iterable[Path] | None = None) -> Path:
-    """The session that a word names: a file, `@last`, or `@-2` for the last but one.
-
-    Raises:
-        SteerdError: there are not so many, or the word after `@` means nothing.
-    """
+    """The session of a word: a file, `@last`, or `@-2` before it; a SteerdError of no such one."""
     if not text.startswith("@") or Path(text).exists():
         return Path(text)
     word = re.fullmatch("@(last|-0*([1-9][0-9]*))", text)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from steerd.daemon.common.errors import ExitCode, SteerdError, reading
+from steerd.daemon.common.errors import SteerdError, reading
 from steerd.daemon.common.screen import describe_holes
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions import motion
@@ -88,7 +88,7 @@ def load_session(path: Path) -> Session:
         session = session_read.open_session(path)
     if not session.info().count and not session.info().metadata:
         why = next(iter(session.info().warnings), "no messages")
-        raise SteerdError(f"{path} holds no session ({why})", "", ExitCode.INVALID)
+        raise SteerdError(f"{path} holds no session ({why})")
     return session
 
 
@@ -157,11 +157,7 @@ def load_recording(path: Path) -> Recording:
 
 
 def read_recording(session: Session) -> Recording:
-    """Read every topic as columns; what cannot be read, as sentences.
-
-    Raises:
-        SteerdError: the file has changed since it was opened.
-    """
+    """Read every topic as columns, and why others cannot be; a SteerdError if the file changed."""
     wanted: dict[str, type[Any]] = {}
     for info in session.info().topics:
         topic = topics.find_topic(info.name)

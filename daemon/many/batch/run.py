@@ -77,11 +77,7 @@ def read_content(task: UnitTask) -> UnitTask:
 
 
 def find_batch(words: Sequence[str]) -> list[Path]:
-    """Sessions that folders (with all below), patterns and files name, each once.
-
-    Raises:
-        SteerdError: a word names nothing.
-    """
+    """Sessions that folders (with all below), patterns and files name; a SteerdError of none."""
     found: dict[Path, None] = {}
     for word in words:
         path = Path(word)
@@ -100,11 +96,7 @@ def find_batch(words: Sequence[str]) -> list[Path]:
 
 
 def read_cars(named: Path | None) -> dict[str, CarFile]:
-    """Car files by the cars' names: of a folder `NAME.toml` each, or one file for every car.
-
-    Raises:
-        SteerdError: there is none, or one cannot be used.
-    """
+    """Car files by name, of a folder of `NAME.toml` or one for all; a SteerdError of none."""
     if named is None:
         return {}
     if not named.is_dir():

@@ -273,11 +273,7 @@ def load_sweep(path: Path) -> SweepPlan:
 
 
 def make_sweep_plan(car: CarFile, given: Mapping[str, Any]) -> SweepPlan:
-    """Check what a sweep file or a caller says: seeds, duration, rate, path, speed and vary.
-
-    Raises:
-        SteerdError: something is unknown, missing or impossible.
-    """
+    """The plan of what a file or a caller says; a SteerdError where that is impossible."""
     known = (*_PARSERS, "car", "vary")
     odd = next((key for key in given if key not in known), None)
     if odd is not None:
