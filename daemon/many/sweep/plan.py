@@ -48,6 +48,19 @@ class Quantity(NamedTuple):
         """Whether its values are texts."""
         return not self.unit
 
+    def check(self, value: Any) -> float:
+        """A number within the bounds; a ValueError for anything else."""
+        number = _number(self.name, "the value", value)
+        if not self.low <= number <= self.high:
+            raise ValueError(f"{self.name} = {number:g}: {self.low:g} to {self.high:g}")
+        return number
+
+
+def _number(name: str, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+        raise ValueError(f"{name}: {key} must be a number, not {value!r}")
+    return float(value)
+
 
 def _instrument(name: str, high: float, unit: str, meaning: str, *fields: str) -> Quantity:
     config = {"mocap": MocapConfig, "vesc": VescConfig}[name.partition(".")[0]]()
@@ -67,15 +80,13 @@ INSTRUMENTS = (
     _instrument("vesc.gyro_noise", 0.5, "rad/s", "VESC: noise of the gyro", "gyro_noise"),
     _instrument("vesc.reply_delay", 0.005, "s", "VESC: request to reply", "reply_delay_ns"),
 )
-_DRIVE = (
-    Quantity("path", 0.0, 0.0, "", "path, as --path takes it"),
-    Quantity("speed", 0.05, 20.0, "m/s", "speed on straights", 1.0),
-)
+_PATH = Quantity("path", 0.0, 0.0, "", "path, as --path takes it")
+_SPEED = Quantity("speed", 0.05, 20.0, "m/s", "speed on straights", 1.0)
 
 
 def find_quantity(name: str, car: CarFile) -> Quantity:
     """The quantity of a name; a ValueError offers the nearest where there is none."""
-    known = {q.name: q for q in (*_DRIVE, *INSTRUMENTS)}
+    known = {q.name: q for q in (_PATH, _SPEED, *INSTRUMENTS)}
     for p in PARAMETERS:
         usual = float(getattr(car.car, p.name))
         about = p.low, p.high, p.unit, p.meaning, usual, (p.name,)
@@ -183,25 +194,10 @@ def parse_distribution(quantity: Quantity, given: Mapping[str, Any]) -> Distribu
     if not two_ends and not other > 0.0:
         raise ValueError(f"{name}: a spread of {other:g}: more than 0")
     for value in (one, other) if two_ends else (one,):
-        check_bounds(name, value, quantity.low, quantity.high)
+        quantity.check(value)
     return Distribution(shape, one, other, quantity.low, quantity.high)
 
 
-def _number(name: str, key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise ValueError(f"{name}: {key} must be a number, not {value!r}")
-    return float(value)
-
-
-def check_bounds(name: str, value: Any, low: float, high: float) -> float:
-    """A number within its bounds; a ValueError for anything else."""
-    number = _number(name, "the value", value)
-    if not low <= number <= high:
-        raise ValueError(f"{name} = {number:g}: {low:g} to {high:g}")
-    return number
-
-
-DURATION_MAX = 3600.0  # longest drive of a sweep [s]
 DRIVES_MAX = 1_000_000  # more drives are a mistake in a list
 DRIVEN, STOPPED, REFUSED = "driven", "stopped", "refused"
 """How a drive ended: as planned, by a watchdog, or before it began."""
@@ -318,14 +314,14 @@ def _parse_choice(quantity: Quantity, given: Any) -> Choice:
         raise ValueError(f"{quantity.name}: the list is empty")
     if quantity.is_text:
         return tuple(_parse_path(value) for value in values)
-    return tuple(check_bounds(quantity.name, v, quantity.low, quantity.high) for v in values)
+    return tuple(map(quantity.check, values))
 
 
 _PARSERS: Mapping[str, Callable[[Any], Any]] = {
     "seeds": _parse_seeds,
-    "duration": lambda given: check_bounds("duration", given, 0.1, DURATION_MAX),
-    "rate": lambda given: check_bounds("rate", given, 20.0, 1000.0),
+    "duration": Quantity("duration", 0.1, 3600.0, "s", "of a drive").check,
+    "rate": Quantity("rate", 20.0, 1000.0, "Hz", "of the loop").check,
     "path": _parse_path,
-    "speed": lambda given: check_bounds("speed", given, 0.05, 20.0),
+    "speed": _SPEED.check,
 }
 """What a sweep file may say of all drives, beside the car and what is varied."""
