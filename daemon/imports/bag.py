@@ -111,7 +111,7 @@ def _remarks(roles: Mapping[str, str], types: Mapping[str, str]) -> Iterator[str
 
 
 def propose_bag(source: Path) -> dict[str, dict[str, Any]]:
-    """Roles and topics of a bag, the best of several; a SteerdError where it is none of use."""
+    """Roles and topics of a bag, the first where names do not decide; a SteerdError if none."""
     with closing(_open(source)) as reader:
         types = _types_of(reader)
     best = {role: found[0] for role, found in find_best(types).items()}

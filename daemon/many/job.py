@@ -124,7 +124,7 @@ def do_job(
     output: Path | None = None,
     progress: Callable[[float], None] = lambda done: None,
 ) -> F:
-    """Do what an earlier start did not finish; that lies beside `output`, the table to be written.
+    """Do what an earlier start did not finish; what is finished lies beside `output`, the table.
 
     Raises:
         SteerdError: what lies there belongs to other work, or the cluster is lost.

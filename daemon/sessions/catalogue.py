@@ -84,7 +84,7 @@ def find_sessions(folders: Iterable[Path]) -> list[Path]:
 
 
 def find_session(text: str, folders: Iterable[Path] | None = None) -> Path:
-    """The session of a word: a file, `@last`, or `@-2` before it; a SteerdError of no such one."""
+    """The session that a word names: a file, `@last`, `@-2` before it; else a SteerdError."""
     if not text.startswith("@") or Path(text).exists():
         return Path(text)
     word = re.fullmatch("@(last|-0*([1-9][0-9]*))", text)
@@ -118,7 +118,7 @@ def read_notes(session: Path) -> tuple[tuple[str, ...], str]:
 
 
 def write_notes(session: Path, tags: Iterable[str], note: str) -> None:
-    """Write tags and note beside a session; a SteerdError where there is none, or no room."""
+    """Write tags and note beside a session; a SteerdError if it is gone or the disk is full."""
     if not session.is_file():
         raise SteerdError(f"{session} does not exist", "", ExitCode.UNREADABLE)
     said = {"tags": list(dict.fromkeys(tags)), "note": note}

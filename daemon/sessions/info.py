@@ -157,7 +157,7 @@ def load_recording(path: Path) -> Recording:
 
 
 def read_recording(session: Session) -> Recording:
-    """Read every topic as columns, and why others cannot be; a SteerdError if the file changed."""
+    """Read topics as columns, and why others cannot be; a SteerdError if the file has changed."""
     wanted: dict[str, type[Any]] = {}
     for info in session.info().topics:
         topic = topics.find_topic(info.name)

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.job import Rows
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.report.report import Table
 
-Array = NDArray[np.float64]
 CHANCE = 1e-3  # probability that a batch without any change reports one
 LEAST = 6  # drives of a car below which nothing is said about a change
 _SIDE = 3  # least drives on either side of a step: of one or two the scatter explains anything

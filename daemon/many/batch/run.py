@@ -77,7 +77,7 @@ def read_content(task: UnitTask) -> UnitTask:
 
 
 def find_batch(words: Sequence[str]) -> list[Path]:
-    """Sessions that folders (with all below), patterns and files name; a SteerdError of none."""
+    """Sessions that folders (with all below), patterns and files name; a SteerdError if none."""
     found: dict[Path, None] = {}
     for word in words:
         path = Path(word)
@@ -96,7 +96,7 @@ def find_batch(words: Sequence[str]) -> list[Path]:
 
 
 def read_cars(named: Path | None) -> dict[str, CarFile]:
-    """Car files by name, of a folder of `NAME.toml` or one for all; a SteerdError of none."""
+    """Car files by name, of a folder of `NAME.toml` or one for all; a SteerdError if none."""
     if named is None:
         return {}
     if not named.is_dir():
