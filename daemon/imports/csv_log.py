@@ -8,23 +8,19 @@ import csv
 import difflib
 import itertools
 import math
-import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
-import numpy as np
-
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.screen import Advance
-from steerd.daemon.imports.import_map import NS, POSE, ColumnSpec, ImportMap, Proposal, scaled
+from steerd.daemon.imports.import_map import NS, ColumnSpec, ImportMap
 from steerd.daemon.imports.import_session import ImportReport, MessageMaker, Sample, write_import
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, THROTTLE, VESC, WHEEL, Topic
-from steerd.sysid.data.data_checks import Array
 
 LINE_MAX = 1 << 20  # no row is longer than this [characters]
 _DELIMITERS = ",;\t| "
@@ -239,68 +235,3 @@ def _samples(
             if any(name in v for name in quantities):
                 given = (v.get(name, math.nan) for name in quantities)
                 yield Sample(topic, t_ns, t_ns, make(maker, t_ns, *given))
-
-
-# -- a map proposed from the file: what its columns probably are, and in which unit ----------------
-
-_ROWS = 20_000  # rows that are looked at
-_DEGREE = round(math.pi / 180.0, 10)
-_QUANTITIES: dict[str, tuple[str, float, float]] = {
-    "t": (r"^#?\s*(t|time|stamp|sec|secs|seconds)$|time|stamp", math.inf, 1.0),
-    "yaw_rate": (r"yaw_?rate|gyro.*z|imu.*wz|^wz$|omega|^r$|angular.*z", 15.0, _DEGREE),
-    "yaw": (r"^yaw|heading|theta|psi|yaw$", 12.0 * math.pi, _DEGREE),
-    "x": (r"^(x|px|pos_?x)$|(^|[_. /])x(_?m+)?$|position.*x", 100.0, 1e-3),
-    "y": (r"^(y|py|pos_?y)$|(^|[_. /])y(_?m+)?$|position.*y", 100.0, 1e-3),
-    "steer_cmd": (r"steer|delta", math.pi / 2, _DEGREE),
-    "erpm": (r"erpm|(^|_)rpm", math.inf, 1.0),
-    "speed_cmd": (
-        r"(speed|vel|v).*(cmd|ref|set|des|target)|(cmd|ref|set|des|target).*(speed|vel)",
-        100.0, 1e-3,
-    ),
-    "throttle": (r"throttle|gas|duty", math.inf, 1.0),
-    "wheel_speed": (r"wheel|enc|odom.*v|vesc.*v|^v$|^vx$|speed|vel", 100.0, 1e-3),
-}  # fmt: skip
-"""Of each quantity: the names that its column often has, of which the first fit takes the column;
-the largest size that is plausible in SI; the scale that makes larger numbers SI."""
-_TICKS = ((1e5, 1e-9), (300.0, 1e-6), (0.9, 1e-3))
-"""Time steps above these are of a finer unit [-], and its scale."""
-
-
-def propose_csv(source: Path) -> Proposal:
-    """Columns of a table, with the scales that make them SI; a SteerdError where it is none."""
-    with open_table(source) as file:
-        table = CsvTable(source.name, file)
-        rows = list(itertools.islice(table.texts(), _ROWS))
-    columns: dict[str, Any] = {}
-    free = list(table.header)
-    for quantity, (pattern, _, _) in _QUANTITIES.items():
-        fits = [name for name in free if re.search(pattern, name, re.IGNORECASE)]
-        if fits:
-            free.remove(fits[0])
-            scale = guess_scale(quantity, _numbers(table, rows, table.header.index(fits[0])))
-            columns[quantity] = scaled(fits[0], scale)
-    if not columns.keys() >= POSE:
-        columns = {k: v for k, v in columns.items() if k not in POSE}
-    return {"columns": columns}
-
-
-def _numbers(table: CsvTable, rows: Iterable[list[str]], column: int) -> Array:
-    found = []
-    for texts in rows:
-        with suppress(SteerdError):  # a cell that is no number does not decide about a unit
-            found.append(table.number(texts, column))
-    return np.array([value for value in found if value is not None], dtype=np.float64)
-
-
-def guess_scale(quantity: str, values: Array) -> float:
-    """What makes a column SI, by the size of its numbers; 1 where they look so already."""
-    if values.size < 2:
-        return 1.0
-    if quantity == "t":
-        step = float(np.median(np.abs(np.diff(values))))
-        return next((scale for low, scale in _TICKS if step > low), 1.0)
-    _, most, scale = _QUANTITIES[quantity]
-    worst = float(np.quantile(np.abs(values), 0.99))
-    jumps = np.abs(np.diff(values))
-    turns = np.any((jumps > 0.95 * 360.0) & (jumps < 360.0))  # a heading in degrees is wrapped
-    return scale if worst > most or (quantity == "yaw" and worst > 1.1 * math.pi and turns) else 1.0

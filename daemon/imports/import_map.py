@@ -8,13 +8,12 @@ is not the car's centre of gravity, `[session]` for what the log does not say.
 import datetime
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
-import tomlkit
 
 from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
 from steerd.daemon.common.packaged import EXAMPLE_MAP
@@ -31,7 +30,7 @@ STREAM_COLUMNS = (
 """What a csv file can give besides `t`: metres, radians, seconds, m/s, electrical rpm."""
 ROLES = ("pose", "command", "vesc", "wheel")
 """What a topic of a bag can be: wheel takes the forward speed out of an Odometry."""
-POSE = {"x", "y", "yaw"}
+_POSE = {"x", "y", "yaw"}
 _HINT = f"copy {EXAMPLE_MAP} and edit it: its comments explain the map"
 
 
@@ -141,9 +140,9 @@ def _columns(columns: dict[str, str | ColumnSpec]) -> dict[str, ColumnSpec]:
         raise ValueError("[columns] lacks 't', the time")
     if made.keys() == {"t"}:
         raise ValueError("no column but the time has a meaning")
-    pose = POSE & made.keys()
-    if pose and pose != POSE:
-        missing = ", ".join(sorted(POSE - pose))
+    pose = _POSE & made.keys()
+    if pose and pose != _POSE:
+        missing = ", ".join(sorted(_POSE - pose))
         raise ValueError(f"[columns] a pose needs x, y and yaw: {missing} missing")
     return made
 
@@ -161,62 +160,3 @@ def _epoch_ns(epoch: float | datetime.datetime) -> int:
     if not 0.0 <= epoch < 1 << 31:
         raise ValueError("[session] epoch must be UNIX seconds or a date from 1970 to 2037")
     return round(epoch * NS)
-
-
-# -- a map that was proposed from a log, and is talked about before anything is written ------------
-
-Proposal = dict[str, dict[str, Any]]  # sections of a map
-_LINE = re.compile(r"^\s*([\w.]+)\s*=\s*(.*?)\s*(?:\*\s*([-+\d.eE]+))?\s*$")
-
-
-def scaled(column: str, scale: float) -> Any:
-    """A column in a map, with its scale where it has one."""
-    if scale == 1.0:
-        return column
-    table = tomlkit.inline_table()
-    table.update(column=column, scale=scale)
-    return table
-
-
-def change(proposal: Proposal, line: str) -> str:
-    """Change a proposal by a line that somebody typed; what is wrong with it, or nothing.
-
-    Such as `yaw = heading * 0.01745`, `pose = /vrpn/car/pose`, `erpm_gain = -7300`, `units = mm`;
-    nothing after the `=` takes an entry away.
-    """
-    found = _LINE.match(line)
-    if found is None:
-        return "NAME = COLUMN [* SCALE], for instance yaw = heading * 0.01745"
-    name, value, scale = found.groups()
-    sections = list_sections(proposal)
-    if name not in sections:
-        return f"{name}: one of {', '.join(sections)}"
-    section = sections[name]
-    table = proposal.setdefault(section, {})
-    if not value:
-        table.pop(name, None)
-        return ""
-    try:
-        factor = float(scale or 1.0)
-        if section == "columns":
-            table[name] = scaled(value, factor)
-        else:
-            table[name] = float(value) if section == "vesc" else value
-    except ValueError:
-        return f"{value}: not a number"
-    return ""
-
-
-def list_sections(proposal: Mapping[str, Any]) -> dict[str, str]:
-    """What a line of `change` may begin with, and the map's section that it stands in."""
-    own = dict.fromkeys(("t", *STREAM_COLUMNS), "columns")
-    if "columns" not in proposal:
-        own = dict.fromkeys(ROLES, "topics")
-    frame = dict.fromkeys(("units", "up", "body_forward"), "frame")
-    return {**own, "erpm_gain": "vesc", **frame, "car": "session"}
-
-
-def format_map(proposal: Proposal, source: str) -> str:
-    """The proposal as the text of a map."""
-    head = f"# Which quantity is what in {source}; value = scale * cell.\n"
-    return head + tomlkit.dumps({name: table for name, table in proposal.items() if table})

@@ -18,11 +18,11 @@ from steerd.daemon.cli.arguments import missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, refusing
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.screen import print_labelled, print_warnings, show_progress, wrap
-from steerd.daemon.imports import import_map as maps
-from steerd.daemon.imports.import_map import ImportMap, Proposal
+from steerd.daemon.imports.import_map import ImportMap, VescSpec, load_map, parse_map
 
 if TYPE_CHECKING:
     from steerd.daemon.imports.import_session import ImportReport
+    from steerd.daemon.imports.propose import Proposal
     from steerd.daemon.sessions.info import SessionReport
     from steerd.daemon.sessions.motion import Track
 
@@ -63,7 +63,7 @@ def import_log(args: Namespace) -> None:
     if kind == "csv" and the_map is None:
         hint = f"`steerd import --ask {source}` proposes one; {EXAMPLE_MAP} is one"
         raise UsageError("a csv file needs a map of its columns, --map", hint)
-    read = maps.load_map(the_map) if the_map else ImportMap()
+    read = load_map(the_map) if the_map else ImportMap()
     _print_result(_import(args, kind, source, read, out), args, the_map)
 
 
@@ -87,7 +87,7 @@ def _import(
         the_map = replace(the_map, rigid=args.rigid)
     if args.erpm_gain is not None:
         with refusing(f"--erpm-gain {args.erpm_gain:g}: "):
-            vesc = structs.replace(the_map.vesc or maps.VescSpec(), erpm_gain=args.erpm_gain)
+            vesc = structs.replace(the_map.vesc or VescSpec(), erpm_gain=args.erpm_gain)
         the_map = replace(the_map, vesc=vesc)
     size = source.stat().st_size if kind == "csv" and source.is_file() else 1.0
     with show_progress(f"reading {source.name}", size, even=True) as advance:
@@ -132,7 +132,7 @@ def _agree(args: Namespace, kind: str, source: Path, out: Path) -> Path:
 
     check_output(out)
     if kind == "csv":
-        from steerd.daemon.imports.csv_log import propose_csv
+        from steerd.daemon.imports.propose import propose_csv
 
         with reading(source):
             proposal = propose_csv(source)
@@ -146,8 +146,10 @@ def _agree(args: Namespace, kind: str, source: Path, out: Path) -> Path:
     return the_map
 
 
-def _ask(proposal: Proposal, source: Path, trial: Trial) -> str:
+def _ask(proposal: "Proposal", source: Path, trial: Trial) -> str:
     """Talk about a proposal until somebody agrees: the map's text; a SteerdError if nobody does."""
+    from steerd.daemon.imports.propose import change, list_sections
+
     text = _show(proposal, source, trial, fix=True)
     while True:
         print("Enter writes it; NAME = COLUMN [* SCALE] changes a line; ? lists names; q leaves")
@@ -157,9 +159,9 @@ def _ask(proposal: Proposal, source: Path, trial: Trial) -> str:
         if not line or answer == "q":
             raise UsageError("nothing was written")
         if answer == "?":
-            print(*wrap(", ".join(maps.list_sections(proposal)), "  ", "  "), sep="\n")
+            print(*wrap(", ".join(list_sections(proposal)), "  ", "  "), sep="\n")
         elif answer:
-            wrong = maps.change(proposal, answer)
+            wrong = change(proposal, answer)
             if wrong:
                 print(f"  {wrong}")
             else:
@@ -170,8 +172,10 @@ def _ask(proposal: Proposal, source: Path, trial: Trial) -> str:
             print("  it cannot be imported like this")
 
 
-def _show(proposal: Proposal, source: Path, trial: Trial, *, fix: bool) -> str:
+def _show(proposal: "Proposal", source: Path, trial: Trial, *, fix: bool) -> str:
     """Print the map and its meaning; the map's text, or nothing where it does not work."""
+    from steerd.daemon.imports.propose import format_map
+
     found, problem = None, ""
     try:
         found = _try(proposal, source, trial)
@@ -180,7 +184,7 @@ def _show(proposal: Proposal, source: Path, trial: Trial, *, fix: bool) -> str:
     except SteerdError as error:
         no_file = error.hint and str(EXAMPLE_MAP) not in error.hint
         found, problem = None, f"{error.what}; {error.hint}" if no_file else error.what
-    text = maps.format_map(proposal, source.name)
+    text = format_map(proposal, source.name)
     print("\nproposed map")
     print(*(f"  {line}" for line in text.splitlines() if line.strip()), sep="\n")
     print("\nwhat it would mean")
@@ -194,15 +198,16 @@ def _show(proposal: Proposal, source: Path, trial: Trial, *, fix: bool) -> str:
 
 
 def _try(
-    proposal: Proposal, source: Path, trial: Trial
+    proposal: "Proposal", source: Path, trial: Trial
 ) -> tuple[list[str], tuple[str, ...], float | None]:
     """What the map makes of the log: in words, what looks wrong, ERPM per m/s by the poses."""
+    from steerd.daemon.imports.propose import format_map
     from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.motion import find_erpm_gain, round_gain
     from steerd.steer_bus.topics import VESC
 
     with refusing("the map: "):
-        the_map = maps.parse_map(maps.format_map(proposal, source.name))
+        the_map = parse_map(format_map(proposal, source.name))
     with tempfile.TemporaryDirectory(prefix="steerd-") as folder:
         trial(the_map, out := Path(folder) / "trial.mcap")
         read = load_recording(out)
@@ -231,14 +236,16 @@ def _lines(report: "SessionReport", track: "Track | None", gain: float | None) -
         yield f"motor     {gain:.0f} ERPM per m/s, by the poses"
 
 
-def _fix(proposal: Proposal, doubts: Sequence[str], erpm_gain: float | None) -> bool:
+def _fix(proposal: "Proposal", doubts: Sequence[str], erpm_gain: float | None) -> bool:
     """Change what the drive itself says must be otherwise; whether anything was."""
+    from steerd.daemon.imports.propose import scaled
+
     text, fixed = " ".join(doubts), False
     columns = proposal.get("columns", {})
     if _LEFT in text and "steer_cmd" in columns:
         old = columns["steer_cmd"]
         name, scale = (old, 1.0) if isinstance(old, str) else (old["column"], old["scale"])
-        columns["steer_cmd"], fixed = maps.scaled(name, -scale), True
+        columns["steer_cmd"], fixed = scaled(name, -scale), True
     if "topics" in proposal and _MM in text:
         proposal.setdefault("frame", {})["units"], fixed = "mm", True
     if erpm_gain is not None and "--erpm-gain" in text:

@@ -18,8 +18,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.imports.bag import BAG_ROLES, RIGIDS, RIGIDS_TEXT, find_best, import_bag
-from steerd.daemon.imports.csv_log import guess_scale
-from steerd.daemon.imports.import_map import ColumnSpec, change, format_map, parse_map
+from steerd.daemon.imports.import_map import ColumnSpec, parse_map
+from steerd.daemon.imports.propose import change, format_map, guess_scale
 from steerd.steer_bus.messages import Actuation, MocapPose, VescTelemetry, WheelSpeed
 from steerd.steer_bus.session_read import open_session
 from steerd.sysid.data.dataset import read_run
