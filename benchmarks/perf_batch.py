@@ -17,8 +17,8 @@ from datetime import date
 from pathlib import Path
 
 from benchmarks.batch_drives import DAY, FIRST, Hidden, make_fleet
-from steerd.daemon.many.batch.run import Batch, make_job
-from steerd.daemon.many.batch.unit import Question, day_of
+from steerd.daemon.many.batch.changes import day_of
+from steerd.daemon.many.batch.run import Batch, Question, make_job
 from steerd.daemon.many.job import do_job
 from steerd.daemon.many.units import Where
 

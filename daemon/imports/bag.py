@@ -195,15 +195,12 @@ def find_best(types: Mapping[str, str]) -> dict[str, list[str]]:
     """The topics whose names fit each role best: one where F1TENTH's own names decide."""
     best = {}
     for role, about in BAG_ROLES.items():
-        ranks = {topic: _rank(topic, about.preferred) for topic in _find_topics(types, role)}
-        if about.preferred and ranks:
-            best[role] = [topic for topic in ranks if ranks[topic] == min(ranks.values())]
+        topics = _find_topics(types, role)
+        if about.preferred and topics:
+            names = (re.compile(pattern, re.IGNORECASE) for pattern in about.preferred)
+            fits = ([topic for topic in topics if name.search(topic)] for name in names)
+            best[role] = next(filter(None, fits), topics)
     return best
-
-
-def _rank(topic: str, patterns: Sequence[str]) -> int:
-    fits = (i for i, p in enumerate(patterns) if re.search(p, topic, re.IGNORECASE))
-    return next(fits, len(patterns))
 
 
 def _expect_any(source: Path, types: Mapping[str, str], roles: dict[str, str]) -> dict[str, str]:

@@ -14,15 +14,8 @@ from typing import Any, NamedTuple
 
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, make_session_error
 from steerd.daemon.imports.import_map import ImportMap
-from steerd.mocap_link.frame import (
-    FrameConfig,
-    PlanarPose,
-    Quat,
-    Vec3,
-    make_body_pose,
-    make_planar_pose,
-    wrap_angle,
-)
+from steerd.mocap_link import frame as frames
+from steerd.mocap_link.frame import FrameConfig, PlanarPose, Quat, Vec3
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session import SessionWriter
@@ -99,14 +92,10 @@ def write_import(
     check_output(out)
     counts = {topic.name: 0 for topic in topics}
     names = {topic.name: make_session_topic(the_map.car, topic) for topic in topics}
+    classes = {names[topic.name]: topic.message for topic in topics}
+    metadata, files = _make_metadata(source, the_map), {"map.toml": the_map.text.encode()}
     try:
-        writer = SessionWriter(
-            out,
-            {names[topic.name]: topic.message for topic in topics},
-            _make_metadata(source, the_map),
-            {"map.toml": the_map.text.encode()},
-            the_map.epoch_ns,
-        )
+        writer = SessionWriter(out, classes, metadata, files, the_map.epoch_ns)
     except SessionError as error:
         raise make_session_error(error) from error
     try:
@@ -139,9 +128,10 @@ def _make_metadata(source: Path, the_map: ImportMap) -> dict[str, dict[str, str]
         "comment": the_map.comment,
         "steerd_version": VERSION,
     }
-    spec = the_map.vesc
-    scaling = {n: repr(getattr(spec, n)) for n in ("erpm_gain", "erpm_offset")} if spec else {}
-    return {"steerd.session": about} | ({"steerd.scaling": scaling} if scaling else {})
+    if (spec := the_map.vesc) is None:
+        return {"steerd.session": about}
+    scaling = {"erpm_gain": repr(spec.erpm_gain), "erpm_offset": repr(spec.erpm_offset)}
+    return {"steerd.session": about, "steerd.scaling": scaling}
 
 
 @dataclass
@@ -160,15 +150,15 @@ class MessageMaker:
         Raises:
             ValueError: the position is not finite or the quaternion has no direction.
         """
-        planar = make_planar_pose(self.frame or FrameConfig(), position, quaternion)
+        planar = frames.make_planar_pose(self.frame or FrameConfig(), position, quaternion)
         return self._mocap(t_ns, arrival_ns, position, quaternion, planar)
 
     def planar_pose(self, t_ns: int, x: float, y: float, yaw: float) -> m.MocapPose:
         """A pose on the floor; without a frame its numbers stay exactly as they are."""
-        position, quaternion = make_body_pose(FrameConfig(), x, y, yaw)
-        planar = PlanarPose(x, y, wrap_angle(yaw), nan, nan)
+        position, quaternion = frames.make_body_pose(FrameConfig(), x, y, yaw)
+        planar = PlanarPose(x, y, frames.wrap_angle(yaw), nan, nan)
         if self.frame is not None:
-            planar = make_planar_pose(self.frame, position, quaternion)
+            planar = frames.make_planar_pose(self.frame, position, quaternion)
         return self._mocap(t_ns, t_ns, (x, y, nan), quaternion, planar)
 
     def _mocap(

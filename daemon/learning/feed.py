@@ -33,7 +33,7 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.topics import Topic
-from steerd.vesc_link.scaling import F1TENTH, Scaling, erpm_to_speed
+from steerd.vesc_link.scaling import Scaling, erpm_to_speed
 
 NEEDED = (*LEARNT_FROM, topics.WHEEL)  # topics that the learner is fed by
 STILL = 0.1  # a step smaller than this share of the largest is none: the design stays
@@ -45,20 +45,18 @@ class Wiring:
     """How a session's numbers are to be read."""
 
     epoch_ns: int  # UNIX time minus monotonic time [ns]
-    scaling: Scaling = F1TENTH  # of speed and ERPM
+    scaling: Scaling  # of speed and ERPM
 
 
 def make_sample(wiring: Wiring, topic: Topic, message: Any) -> Sample | None:
-    """A message of `NEEDED` as a sample, with monotonic time [s]; None where it says nothing."""
+    """A message as a sample, with monotonic time [s]; None where it says nothing of the car."""
     if topic is topics.MOCAP:
-        if message.reject:
-            return None
-        return PoseSeen(message.t_valid_ns * 1e-9, message.x, message.y, message.yaw)
+        seen = PoseSeen(message.t_valid_ns * 1e-9, message.x, message.y, message.yaw)
+        return None if message.reject else seen
     if topic is topics.ACTUATION:
         t = (m.stamp_ns(message.header) - wiring.epoch_ns) * 1e-9
-        if message.mode != m.ActuationMode.SPEED:
-            return Paused(t)
-        return Ordered(t, message.steer, message.speed)
+        driven = message.mode == m.ActuationMode.SPEED
+        return Ordered(t, message.steer, message.speed) if driven else Paused(t)
     if topic is topics.VESC:
         middle = (message.t_sent_ns + message.t_received_ns) // 2
         return Rolled(middle * 1e-9, erpm_to_speed(wiring.scaling, message.erpm))
@@ -96,11 +94,10 @@ class Proposals:
         self._design = None if isinstance(design, str) else design
         if not isinstance(design, str) and design.car == self._file:
             design = "the car is as in the car file"
-        proposal = (
-            make_no_design(mono_ns, epoch_ns, design)
-            if isinstance(design, str)
-            else make_design(mono_ns, epoch_ns, 1, design)
-        )
+        if isinstance(design, str):
+            proposal = make_no_design(mono_ns, epoch_ns, design)
+        else:
+            proposal = make_design(mono_ns, epoch_ns, 1, design)
         self._send(encode(proposal), mono_ns)
 
     def _next_design(self, aim: Learnt | str, mono_ns: int) -> Design | str:
@@ -138,8 +135,6 @@ class Feed:
         """Take in one message; the report, if one is due."""
         if topic is topics.DESIGN and self.proposals is not None:
             self.proposals.hear(message)
-        if topic not in NEEDED:
-            return None
         sample = make_sample(self.wiring, topic, message)
         if sample is None:
             return None
@@ -155,8 +150,7 @@ class Feed:
 _SD = "_sd"
 _LEARNT = tuple(f.name.removesuffix(_SD) for f in fields(m.Model) if f.name.endswith(_SD))
 """The car's numbers that the message has fields for."""
-_UNKNOWN = Value("", nan, nan, "", False)
-_NO_CHANGE = ReportedChange(-1, -1, "none", "", nan, (), ())
+_NO_CHANGE = ReportedChange(-1, -1, "none")
 
 
 def make_model(
@@ -168,14 +162,13 @@ def make_model(
     """
     early = (Value(name, *each, UNITS[name], True) for name, each in remembered.items())
     values = values_of(state.known) if state.known else tuple(early)
-    by_name = {value.name: value for value in values}
+    known = {value.name: (value.value, value.sd) for value in values}
     current = () if state.change is None else (state.change,)
     changes = [_reported_change(change) for change in (*state.past, *current)]
     newest = changes[-1] if changes else _NO_CHANGE
     numbers: dict[str, float] = {}
     for name in _LEARNT:
-        value = by_name.get(name, _UNKNOWN)
-        numbers |= {name: value.value, name + _SD: value.sd}
+        numbers[name], numbers[name + _SD] = known.get(name, (nan, nan))
     return m.Model(
         header=m.make_header(mono_ns + epoch_ns, m.BODY),
         mono_ns=mono_ns,
@@ -197,8 +190,8 @@ def _reported_change(change: Change) -> ReportedChange:
     verdict, cause = change.finding.verdict, change.finding.cause
     since, noticed = round(change.since * NS), round(change.noticed * NS)
     if cause is None:
-        return ReportedChange(since, noticed, verdict, "", nan, (), ())
-    moved = tuple(ReportedValue(name, *amount) for name, amount in amounts_of(change).items())
+        return ReportedChange(since, noticed, verdict)
+    moved = [ReportedValue(name, *amount) for name, amount in amounts_of(change).items()]
     named = cause.effect, cause.confidence, cause.ambiguous_with
     return ReportedChange(since, noticed, verdict, *named, moved)
 

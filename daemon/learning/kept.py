@@ -19,12 +19,13 @@ from steerd.car_model.car_file import CarFile, default_car_path
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.session_meta import data_folder
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.common.screen import print_labelled
+from steerd.daemon.common.screen import NBSP, print_labelled
 from steerd.daemon.common.written import write_output, write_whole
 from steerd.daemon.learning.reported import describe_change, reported_changes, reported_values
 from steerd.steer_bus import messages as m
 from steerd.toml_text import parse_toml
 from steerd.version import VERSION
+from steerd.vesc_link.scaling import Scaling
 
 METADATA = "steerd.learner"  # of a session whose learner began with an earlier drive's numbers
 SIZE_MAX = 100_000  # a kept page is small; what is larger is something else [bytes]
@@ -57,7 +58,7 @@ class Kept(NamedTuple):
     values: dict[str, tuple[float, float]]
 
 
-def digest_numbers(car: CarFile, erpm_gain: float, erpm_offset: float) -> str:
+def digest_numbers(car: CarFile, scaling: Scaling) -> str:
     """SHA-256 of everything in a car file that gives learnt numbers their meaning.
 
     Comments, gains and limits may be edited; another wheel, tyre or effect is another car.
@@ -68,7 +69,7 @@ def digest_numbers(car: CarFile, erpm_gain: float, erpm_offset: float) -> str:
         "effects": {e.name: v for e, v in zip(car.effects, car.values, strict=True)},
         "sd": dict(car.sd),
         "learnt": {name: car.sections.get(name, {}) for name in ("knowledge", "noise")},
-        "scaling": [erpm_gain, erpm_offset],
+        "scaling": [scaling.erpm_gain, scaling.erpm_offset],
     }
     return _digest(json.dumps(numbers, sort_keys=True, default=str).encode())
 
@@ -76,10 +77,11 @@ def digest_numbers(car: CarFile, erpm_gain: float, erpm_offset: float) -> str:
 def format_kept(about: About, report: m.Model) -> str:
     """The page of a report of a learner that knows the car: what it identifies, and each change."""
     lines = [f"{name} = {json.dumps(text)}" for name, text in about._asdict().items()]
-    lines.append(f"written_ns = {m.stamp_ns(report.header)}")
-    changes = [describe_change(report, change) for change in reported_changes(report)]
-    said = [json.dumps(text.replace("\u00a0", " "), ensure_ascii=False) for text in changes]
-    lines += ["changes = [", *(f"  {text}," for text in said), "]", "", "[values]"]
+    lines += [f"written_ns = {m.stamp_ns(report.header)}", "changes = ["]
+    for change in reported_changes(report):
+        text = describe_change(report, change).replace(NBSP, " ")
+        lines.append(f"  {json.dumps(text, ensure_ascii=False)},")
+    lines += ["]", "", "[values]"]
     for value in reported_values(report):
         if value.identifiable and isfinite(value.value) and value.sd > 0.0 and isfinite(value.sd):
             pair = f"[{float(value.value)!r}, {float(value.sd)!r}]"
@@ -149,8 +151,7 @@ def recall_learnt(plan: RunPlan, session: Path, now_ns: int) -> LearnerMemory:
     """What the run's learner begins with at a UNIX time; a page of no use is named on stderr."""
     if not plan.options.learn or plan.options.simulated:
         return LearnerMemory()
-    page, scaling = learnt_page(plan), plan.settings.scaling
-    numbers = digest_numbers(plan.settings.file, scaling.erpm_gain, scaling.erpm_offset)
+    page, numbers = learnt_page(plan), digest_numbers(plan.settings.file, plan.settings.scaling)
     about = About(plan.options.car, numbers, VERSION, session.name)
     try:
         with page.open("rb") as file:
@@ -160,8 +161,7 @@ def recall_learnt(plan: RunPlan, session: Path, now_ns: int) -> LearnerMemory:
         return LearnerMemory(str(page), about)
     except (OSError, KeptError) as error:
         why = error if isinstance(error, KeptError) else f"cannot be read ({error.strerror})"
-        text = f"{page} {why}. The learner begins with the car file."
-        print_labelled("note: ", text, sys.stderr)
+        print_labelled("note: ", f"{page} {why}. The learner begins with the car file.", sys.stderr)
         return LearnerMemory(str(page), about, refused=True)
     metadata = {"file": page.name, "sha256": _digest(data), "memory": memory}
     return LearnerMemory(str(page), about, memory, metadata={METADATA: metadata})

@@ -4,17 +4,18 @@ No numerics are loaded here.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from math import isfinite, nan
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from steerd.car_model.effects import find_effect
-from steerd.daemon.common.screen import join_words, wrap
+from steerd.daemon.common.screen import NBSP, join_words, wrap
 from steerd.steer_bus import messages as m
 from steerd.sysid.report.report import finite, with_error
 
 NS = 1_000_000_000
+T = TypeVar("T")
 
 
 class ReportedValue(NamedTuple):
@@ -33,10 +34,11 @@ class ReportedChange(NamedTuple):
     since_ns: int  # when it began; `noticed_ns` when it was called
     noticed_ns: int
     verdict: str  # `changed`, `named` or `unexplained`
-    effect: str  # its name, empty unless it is named
-    confidence: float  # NaN unless it is named
-    alternatives: tuple[str, ...]  # effects that the drive cannot distinguish from it
-    parameters: tuple[ReportedValue, ...]  # of the effect, by how much they moved (`online.values`)
+    effect: str = ""  # its name, empty unless it is named
+    confidence: float = nan  # NaN unless it is named
+    alternatives: Sequence[str] = ()  # effects that the drive cannot distinguish from it
+    # Of the effect, by how much they moved (`online.values`)
+    parameters: Sequence[ReportedValue] = ()
 
 
 def pack(values: Sequence[tuple[Any, ...]], changes: Sequence[ReportedChange]) -> str:
@@ -47,27 +49,21 @@ def pack(values: Sequence[tuple[Any, ...]], changes: Sequence[ReportedChange]) -
 
 def reported_values(model: m.Model) -> list[ReportedValue]:
     """The car's numbers in a report."""
-    return [_value(*row) for row in json.loads(model.details)["values"]]
+    return [_read(ReportedValue, row) for row in json.loads(model.details)["values"]]
 
 
 def reported_changes(model: m.Model) -> list[ReportedChange]:
     """The changes in a report, oldest first."""
+    changes = [_read(ReportedChange, row) for row in json.loads(model.details)["changes"]]
     return [
-        ReportedChange(
-            since, noticed, verdict, effect, _or_nan(sure), tuple(others),
-            tuple(_value(*each) for each in moved),
-        )
-        for since, noticed, verdict, effect, sure, others, moved
-        in json.loads(model.details)["changes"]
-    ]  # fmt: skip
+        change._replace(parameters=[_read(ReportedValue, row) for row in change.parameters])
+        for change in changes
+    ]
 
 
-def _value(name: str, value: float | None, sd: float | None, *more: Any) -> ReportedValue:
-    return ReportedValue(name, _or_nan(value), _or_nan(sd), *more)
-
-
-def _or_nan(value: float | None) -> float:
-    return nan if value is None else value
+def _read(kind: Callable[..., T], row: Sequence[Any]) -> T:
+    """A row of JSON as its tuple, null as NaN."""
+    return kind(*(nan if each is None else each for each in row))
 
 
 # -- in words -------------------------------------------------------------------------------------
@@ -111,9 +107,7 @@ def describe_change(model: m.Model, change: ReportedChange) -> str:
 def gap_text(model: m.Model) -> str:
     """The newest change, or why there is none."""
     changes = reported_changes(model)
-    if changes:
-        return describe_change(model, changes[-1])
-    return _VERDICTS[model.verdict]
+    return describe_change(model, changes[-1]) if changes else _VERDICTS[model.verdict]
 
 
 def design_text(status: Mapping[str, str]) -> str:
@@ -124,17 +118,14 @@ def design_text(status: Mapping[str, str]) -> str:
 
 def format_model(model: m.Model) -> list[str]:
     """Everything that was learnt, in lines of at most 80 columns."""
-    lines = []
-    if model.verdict in QUIET:
-        lines += wrap(_VERDICTS[model.verdict], f"{'gap:':<{LABEL}}", " " * LABEL)
-    for change in reported_changes(model):
-        lines += wrap(describe_change(model, change), f"{'gap:':<{LABEL}}", " " * LABEL)
+    texts = [_VERDICTS[model.verdict]] if model.verdict in QUIET else []
+    texts += [describe_change(model, change) for change in reported_changes(model)]
+    lines = [row for text in texts for row in wrap(text, f"{'gap:':<{LABEL}}", " " * LABEL)]
     values = reported_values(model)
     reported = [p for p in values if p.identifiable]
     width = max((len(p.name) for p in reported), default=0) + 2
-    lines += [f"  {p.name:<{width}}{with_sd(p)}".replace("\u00a0", " ") for p in reported]
-    dark = [p.name for p in values if not p.identifiable]
-    if dark:
+    lines += [f"  {p.name:<{width}}{with_sd(p)}".replace(NBSP, " ") for p in reported]
+    if dark := [p.name for p in values if not p.identifiable]:
         lines += wrap(", ".join(dark), "not identifiable here: ", "  ")
     return lines
 
@@ -152,17 +143,11 @@ def encode_model(model: m.Model) -> dict[str, Any]:
         for change in reported_changes(model)
     ]
     newest = changes[-1] if changes else {"since_s": None, "causes": []}
+    named = {name: newest[name] for name in ("since_s", "causes")}
+    values = reported_values(model)
     return {
-        "gap": {
-            "verdict": model.verdict,
-            "since_s": newest["since_s"],
-            "causes": newest["causes"],
-            "changes": changes,
-        },
-        "model": {
-            p.name: _number(p) | {"identifiable": bool(p.identifiable)}
-            for p in reported_values(model)
-        },
+        "gap": {"verdict": model.verdict, **named, "changes": changes},
+        "model": {p.name: _number(p) | {"identifiable": bool(p.identifiable)} for p in values},
     }
 
 

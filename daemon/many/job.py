@@ -6,7 +6,9 @@ which pandas, polars, DuckDB, R and MATLAB read without a word about types or un
 only file that knows PyArrow.
 """
 
+import hashlib
 import io
+import json
 import sqlite3
 import sys
 import time
@@ -91,6 +93,11 @@ class Found(Reported):
         return Path(path)
 
 
+def make_digest(values: Any) -> str:
+    """SHA-256 of JSON values: of what rows depend on."""
+    return hashlib.sha256(json.dumps(values).encode()).hexdigest()
+
+
 F = TypeVar("F", bound=Found)
 
 
@@ -117,10 +124,7 @@ def do_job(
     output: Path | None = None,
     progress: Callable[[float], None] = lambda done: None,
 ) -> F:
-    """Do what an earlier start did not finish.
-
-    What is finished lies beside `output`, the table that is to be written; `progress` is called
-    with the number of units done.
+    """Do what an earlier start did not finish; what is finished lies beside `output`, the table.
 
     Raises:
         SteerdError: what lies there belongs to other work, or the cluster is lost.

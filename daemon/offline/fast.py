@@ -86,10 +86,8 @@ def run_fast(plan: RunPlan) -> int:
     board, duration = Dashboard(""), plan.options.duration_s
 
     def see(records: list[PipeRecord], t_ns: int) -> None:
-        for each in records:
-            line = board.take(each)
-            if line is not None:
-                print(f"{t_ns * 1e-9:8.2f} s  {line}")
+        for line in filter(None, map(board.take, records)):
+            print(f"{t_ns * 1e-9:8.2f} s  {line}")
 
     def go(run: VirtualRun) -> None:
         driven = count(1)

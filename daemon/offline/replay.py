@@ -11,7 +11,7 @@ from typing import Any
 
 from steerd.daemon.assembly.build import RunId, RunPlan, make_plan
 from steerd.daemon.assembly.session_meta import read_session_car, recorded_path
-from steerd.daemon.common.errors import ExitCode, SteerdError, reading
+from steerd.daemon.common.errors import reading
 from steerd.daemon.common.screen import watched
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.loop import REQUESTS, Loop
@@ -121,24 +121,10 @@ def replay(
 def describe_difference(difference: Difference, first_ns: int) -> str:
     """One line for people."""
 
-    def order(values: tuple[float, ...]) -> str:
-        mode, steer, speed, brake = values
-        return (
-            f"{m.ActuationMode(int(mode)).name} steer {steer:+.6f} rad, "
-            f"speed {speed:+.4f} m/s, brake {brake:.1f} A"
-        )
+    def order(mode: float, steer: float, speed: float, brake: float) -> str:
+        name = m.ActuationMode(int(mode)).name
+        return f"{name} steer {steer:+.6f} rad, speed {speed:+.4f} m/s, brake {brake:.1f} A"
 
     t = (difference.t_ns - first_ns) * 1e-9
-    was, now = order(difference.recorded), order(difference.replayed)
+    was, now = order(*difference.recorded), order(*difference.replayed)
     return f"tick {difference.seq} ({t:.2f} s): recorded {was}; replayed {now}"
-
-
-def check_same(count: int, ticks: int) -> ExitCode:
-    """The exit code of a replay with so many differences.
-
-    Raises:
-        SteerdError: nothing was compared.
-    """
-    if not ticks:
-        raise SteerdError("the session holds no ticks: there is nothing to replay")
-    return ExitCode.DIFFERS if count else ExitCode.OK

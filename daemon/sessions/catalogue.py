@@ -226,19 +226,14 @@ _NAME, _CAR, _LANE = 20, 8, 17  # columns of the names [characters]
 
 def format_entries(entries: Sequence[Entry], numbers: Sequence[int]) -> Iterator[str]:
     """The table, newest first; `numbers`: each one's place among all, 1 for the last (`@-N`)."""
-    yield (
-        f"{'':6}{'ended':<12}{'session':<{_NAME + 1}}{'car':<{_CAR + 1}}"
-        f"{'driven':<{_LANE + 1}}{'m':>5}{'e1 mm':>8}"
-    )
+    form = f"{{:<6}}{{:<12}}{{:<{_NAME + 1}}}{{:<{_CAR + 1}}}{{:<{_LANE + 1}}}{{:>5}}{{:>8}}"
+    yield form.format("", "ended", "session", "car", "driven", "m", "e1 mm")
     for number, e in zip(numbers, entries, strict=True):
         place = "@last" if number == 1 else f"@-{number}"
+        names = cut(clean(e.path.stem), _NAME), cut(e.car, _CAR), cut(e.lane, _LANE)
         metres = "" if e.metres is None else f"{e.metres:.0f}"
         error = "" if e.e1_rms is None else f"{1e3 * e.e1_rms:.1f}"
-        yield (
-            f"{place:<6}{e.when:%m-%d %H:%M} {cut(clean(e.path.stem), _NAME):<{_NAME + 1}}"
-            f"{cut(e.car, _CAR):<{_CAR + 1}}{cut(e.lane, _LANE):<{_LANE + 1}}"
-            f"{metres:>5}{error:>8}"
-        )
+        yield form.format(place, f"{e.when:%m-%d %H:%M}", *names, metres, error)
         yield from wrap(e.remarks, " " * 6, " " * 6)
 
 

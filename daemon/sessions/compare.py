@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from scipy.signal import correlate, correlation_lags
 
 from steerd.car_model.path.path import Path as Lane
-from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
+from steerd.daemon.common.errors import SteerdError, UsageError
 from steerd.daemon.common.screen import clean
 from steerd.daemon.sessions.info import Recording
 from steerd.daemon.sessions.motion import Track, find_settled, rms
@@ -89,14 +89,14 @@ def make_lane_session(read: Recording) -> LaneSession:
     lane, state = load_lane(read.session), read.table(topics.STATE)
     if lane is None or state is None:
         what = f"{path.name} follows no lane that could be compared"
-        raise SteerdError(what, "name drives of `steerd run`", ExitCode.INVALID)
+        raise SteerdError(what, "name drives of `steerd run`")
     names = [name for name, _, _ in _PANELS]
     kept = find_settled(state, read.times(state))
     for name in ("path_s", *names):
         kept &= np.isfinite(state[name])
     if kept.sum() < 2:
         what = f"{path.name} keeps its lane for less than the 3 s after which drives are compared"
-        raise SteerdError(what, "name a longer drive", ExitCode.INVALID)
+        raise SteerdError(what, "name a longer drive")
     along = state["path_s"][kept].astype(float)
     return LaneSession(
         clean(path.name, NAME_MAX),
@@ -123,7 +123,7 @@ def check_same_lane(drives: Sequence[LaneSession]) -> None:
         if one.shape != two.shape or not np.allclose(one, two, atol=0.01):
             what = f"{first.name} drives {first.lane.name}, {other.name} {other.lane.name}"
             hint = "compare drives of one --path: places along different lanes do not match"
-            raise SteerdError(what, hint, ExitCode.INVALID)
+            raise SteerdError(what, hint)
 
 
 def compare_on_lane(drives: Sequence[LaneSession]) -> list[Section]:
@@ -243,7 +243,7 @@ def overlay(first: Recording, second: Recording, shift: float | None = None) -> 
     motion = [curves[title] for title in _MOTION if title in curves]
     if not motion:
         what = "the two drives have neither speed nor steering nor yaw rate in common"
-        raise SteerdError(what, "name drives that were recorded alike", ExitCode.INVALID)
+        raise SteerdError(what, "name drives that were recorded alike")
     lengths = [read.info.duration_s for read in (first, second)]
     at = shift
     if at is None:

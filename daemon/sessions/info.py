@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from steerd.daemon.common.errors import ExitCode, SteerdError, reading
+from steerd.daemon.common.errors import SteerdError, reading
 from steerd.daemon.common.screen import describe_holes
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions import motion
@@ -92,7 +92,7 @@ def load_session(path: Path) -> Session:
         session = session_read.open_session(path)
     if not session.info().count and not session.info().metadata:
         why = next(iter(session.info().warnings), "no messages")
-        raise SteerdError(f"{path} holds no session ({why})", "", ExitCode.INVALID)
+        raise SteerdError(f"{path} holds no session ({why})")
     return session
 
 

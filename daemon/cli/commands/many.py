@@ -100,8 +100,7 @@ def batch(args: Namespace) -> None:
     works on new sessions only, also after Ctrl-C. Exit code 3: nothing is there.
     """
     check_outputs({"-o": args.output, "--page": args.page})
-    from steerd.daemon.many.batch.run import make_job
-    from steerd.daemon.many.batch.unit import Question, find_batch, read_cars
+    from steerd.daemon.many.batch.run import Question, find_batch, make_job, read_cars
     from steerd.daemon.many.job import do_in_terminal
     from steerd.daemon.many.units import Where
 

@@ -179,7 +179,7 @@ def replay_arguments(parser: ArgumentParser) -> None:
 
 def replay(args: Namespace) -> int:
     """Feed a recorded session through the loop and report commands that differ."""
-    from steerd.daemon.offline.replay import check_same, describe_difference, replay
+    from steerd.daemon.offline.replay import describe_difference, replay
     from steerd.daemon.sessions.info import load_session
 
     path = pick_session(args.session)
@@ -193,10 +193,11 @@ def replay(args: Namespace) -> int:
             count += 1
             if count <= args.show:
                 print(describe_difference(difference, first_ns))
-    code = check_same(count, going.ticks)
+    if not going.ticks:
+        raise SteerdError("the session holds no ticks: there is nothing to replay")
     verdict = f"{count} of them differ" if count else "all equal the recorded ones"
     print(f"{going.ticks} commands replayed: {verdict}")
-    return code
+    return ExitCode.DIFFERS if count else ExitCode.OK
 
 
 def recover_arguments(parser: ArgumentParser) -> None:

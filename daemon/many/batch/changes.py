@@ -1,21 +1,18 @@
 """What changed on a car, and on which day: a step in a series of estimates, each with its error.
 
-For every car and quantity the likelihood of one value is compared with that of two, before and
-after a day. The scatter between drives of a car that did not change is taken from neighbours in
-time, so that a step does not hide itself. Asking many cars, quantities and days finds steps by
-chance; the bound counts the questions.
-
-Errors are larger than stated now and then. A drive that is several times as sure as the middle one
-knows it by another model of the same car: such drives have a level of their own, and show a step
-among themselves (analysis of covariance); where they are too few for that, none counts for more
-than the middle one. And what two values leave beyond the errors widens them (the Birge ratio, as
-the Particle Data Group's reviews apply it).
+One value is compared with two, before and after a day; the bound counts the cars, quantities and
+days that were asked. The scatter of a car that did not change is that of neighbours in time, so
+that a step does not hide itself. Drives that are several times as sure as the middle one know the
+car by another model: they have a level of their own (analysis of covariance), or, where they are
+too few, count for no more than the middle one. What two values leave beyond the stated errors
+widens them (the Birge ratio, as the Particle Data Group's reviews apply it).
 """
 
 # Why: docs/decisions/processes-and-time.md#d103
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from math import erfc, sqrt
 from typing import NamedTuple
 
@@ -23,11 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.daemon.common.screen import clean
-from steerd.daemon.many.batch.unit import day_of
 from steerd.daemon.many.job import Rows
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.report.report import Table
 
-Array = NDArray[np.float64]
 CHANCE = 1e-3  # probability that a batch without any change reports one
 LEAST = 6  # drives of a car below which nothing is said about a change
 _SIDE = 3  # least drives on either side of a step: of one or two the scatter explains anything
@@ -75,6 +71,11 @@ class Change:
     def sigmas(self) -> float:
         """Size of the step in its standard errors."""
         return abs(self.after - self.before) / self.sd
+
+
+def day_of(start: float) -> str:
+    """The day of a time [UNIX s], in UTC."""
+    return f"{datetime.fromtimestamp(start, UTC):%Y-%m-%d}"
 
 
 class Band(NamedTuple):

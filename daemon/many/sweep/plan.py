@@ -3,9 +3,7 @@
 A sweep file is TOML; `steerd sweep --example` prints one.
 """
 
-import hashlib
 import itertools
-import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from math import exp, isfinite, log, prod
@@ -20,6 +18,7 @@ from steerd.car_model.effects import find_effect
 from steerd.car_model.params import PARAMETERS
 from steerd.daemon.analysis.options import read_car
 from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean, refusing
+from steerd.daemon.many.job import make_digest
 from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.toml_text import load_toml
@@ -35,13 +34,32 @@ class Quantity(NamedTuple):
     meaning: str  # one line
     # The car file's or the simulator's own value; None where there is none
     usual: float | None = None
-    # Of an instrument, in its device's configuration: they sum up, and the first one is varied
+    # Names in the car; an effect and its parameter; in the configuration of an instrument's device,
+    # where they sum up and the first one is varied
     fields: tuple[str, ...] = ()
+
+    @property
+    def kind(self) -> str:
+        """`car`, `effect`, `mocap`, `vesc`, or the name of what stands alone."""
+        return self.name.partition(".")[0]
 
     @property
     def is_text(self) -> bool:
         """Whether its values are texts."""
         return not self.unit
+
+    def check(self, value: Any) -> float:
+        """A number within the bounds; a ValueError for anything else."""
+        number = _number(self.name, "the value", value)
+        if not self.low <= number <= self.high:
+            raise ValueError(f"{self.name} = {number:g}: {self.low:g} to {self.high:g}")
+        return number
+
+
+def _number(name: str, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+        raise ValueError(f"{name}: {key} must be a number, not {value!r}")
+    return float(value)
 
 
 def _instrument(name: str, high: float, unit: str, meaning: str, *fields: str) -> Quantity:
@@ -62,10 +80,8 @@ INSTRUMENTS = (
     _instrument("vesc.gyro_noise", 0.5, "rad/s", "VESC: noise of the gyro", "gyro_noise"),
     _instrument("vesc.reply_delay", 0.005, "s", "VESC: request to reply", "reply_delay_ns"),
 )
-_DRIVE = (
-    Quantity("path", 0.0, 0.0, "", "path, as --path takes it"),
-    Quantity("speed", 0.05, 20.0, "m/s", "speed on straights", 1.0),
-)
+_PATH = Quantity("path", 0.0, 0.0, "", "path, as --path takes it")
+_SPEED = Quantity("speed", 0.05, 20.0, "m/s", "speed on straights", 1.0)
 
 
 def find_quantity(name: str, car: CarFile) -> Quantity:
@@ -74,10 +90,11 @@ def find_quantity(name: str, car: CarFile) -> Quantity:
     Raises:
         ValueError: there is none; the message offers the nearest.
     """
-    known = {q.name: q for q in (*_DRIVE, *INSTRUMENTS)}
+    known = {q.name: q for q in (_PATH, _SPEED, *INSTRUMENTS)}
     for p in PARAMETERS:
         usual = float(getattr(car.car, p.name))
-        known[f"car.{p.name}"] = Quantity(f"car.{p.name}", p.low, p.high, p.unit, p.meaning, usual)
+        about = p.low, p.high, p.unit, p.meaning, usual, (p.name,)
+        known[f"car.{p.name}"] = Quantity(f"car.{p.name}", *about)
     if name in known:
         return known[name]
     kind, _, rest = name.partition(".")
@@ -92,7 +109,8 @@ def find_quantity(name: str, car: CarFile) -> Quantity:
     chosen = parameters.get(wanted) if wanted else effect.parameters[0]
     if chosen is None:
         raise ValueError(f"{effect.name} has no {wanted!r}, but {', '.join(parameters)}")
-    return Quantity(name, chosen.low, chosen.high, chosen.unit, chosen.meaning, chosen.null)
+    fields = effect.name, chosen.name
+    return Quantity(name, chosen.low, chosen.high, chosen.unit, chosen.meaning, chosen.null, fields)
 
 
 _STREAM = 23  # keeps these numbers apart from those of the simulated instruments' noise
@@ -112,8 +130,7 @@ class Form(NamedTuple):
 FORMS: Mapping[Shape, Form] = {
     "uniform": Form(("low", "high"), lambda rng, a, b: rng.uniform(a, b), "{} to {}"),
     "log_uniform": Form(
-        ("low", "high", "log"),
-        lambda rng, a, b: exp(rng.uniform(log(a), log(b))),
+        ("low", "high", "log"), lambda rng, a, b: exp(rng.uniform(log(a), log(b))),
         "{} to {} (logarithmic)",
     ),
     "normal": Form(("mean", "sd"), lambda rng, a, b: rng.normal(a, b), "{} ± {}"),
@@ -156,10 +173,9 @@ class Distribution:
 
 
 def parse_distribution(quantity: Quantity, given: Mapping[str, Any]) -> Distribution:
-    """The distribution of a quantity, as a TOML table or a dictionary says it.
+    """The distribution of a quantity, as a TOML table or a dictionary says it, see `_GIVEN`.
 
-    That is `low` and `high`, also with `log`; `mean` and `sd`; `median` and `factor`; or `share` of
-    the usual value as a standard deviation.
+    A `share` of the usual value is a standard deviation.
 
     Raises:
         ValueError: it is none of these, or lies outside the bounds.
@@ -178,37 +194,18 @@ def parse_distribution(quantity: Quantity, given: Mapping[str, Any]) -> Distribu
     if shape == "log_uniform" and rest["log"] is not True:
         shape = "uniform"
     one, other = (_number(name, key, rest[key]) for key in FORMS[shape].keys[:2])
-    ends = (one, other) if "low" in rest else (one,)
+    two_ends = "low" in rest
     if shape.startswith("log") and not (one > 0.0 and other > 0.0):
         raise ValueError(f"{name}: a logarithm needs positive numbers")
-    if len(ends) == 2 and not one < other:
+    if two_ends and not one < other:
         raise ValueError(f"{name}: low {one:g} is not below high {other:g}")
-    if len(ends) == 1 and not other > 0.0:
+    if not two_ends and not other > 0.0:
         raise ValueError(f"{name}: a spread of {other:g}: more than 0")
-    for value in ends:
-        check_bounds(name, value, quantity.low, quantity.high)
+    for value in (one, other) if two_ends else (one,):
+        quantity.check(value)
     return Distribution(shape, one, other, quantity.low, quantity.high)
 
 
-def _number(name: str, key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise ValueError(f"{name}: {key} must be a number, not {value!r}")
-    return float(value)
-
-
-def check_bounds(name: str, value: Any, low: float, high: float) -> float:
-    """A number within its bounds.
-
-    Raises:
-        ValueError: it is none, or lies outside.
-    """
-    number = _number(name, "the value", value)
-    if not low <= number <= high:
-        raise ValueError(f"{name} = {number:g}: {low:g} to {high:g}")
-    return number
-
-
-DURATION_MAX = 3600.0  # longest drive of a sweep [s]
 DRIVES_MAX = 1_000_000  # more drives are a mistake in a list
 DRIVEN, STOPPED, REFUSED = "driven", "stopped", "refused"
 """How a drive ended: as planned, by a watchdog, or before it began."""
@@ -247,8 +244,7 @@ class SweepPlan:
             for name, choice in self.vary.items()
         }
         rest = [self.car.text, self.seeds, self.duration, self.rate, self.path, self.speed]
-        text = json.dumps([choices, *rest])
-        return hashlib.sha256(text.encode()).hexdigest()
+        return make_digest([choices, *rest])
 
 
 @dataclass(frozen=True)
@@ -268,13 +264,12 @@ def list_cases(plan: SweepPlan) -> Iterator[DriveCase]:
     """
     lists = {name: c for name, c in plan.vary.items() if isinstance(c, tuple)}
     drawn = {name: c for name, c in plan.vary.items() if isinstance(c, Distribution)}
-    number = itertools.count()
-    for combination in itertools.product(*lists.values()):
-        fixed = dict(zip(lists, combination, strict=True))
-        for seed in plan.seeds:
-            with refusing():
-                values = fixed | {name: each.draw(name, seed) for name, each in drawn.items()}
-            yield DriveCase(next(number), seed, {name: values[name] for name in plan.vary})
+    crossed = itertools.product(itertools.product(*lists.values()), plan.seeds)
+    for number, (listed, seed) in enumerate(crossed):
+        with refusing():
+            values = dict(zip(lists, listed, strict=True))
+            values |= {name: each.draw(name, seed) for name, each in drawn.items()}
+        yield DriveCase(number, seed, {name: values[name] for name in plan.vary})
 
 
 def load_sweep(path: Path) -> SweepPlan:
@@ -339,14 +334,14 @@ def _parse_choice(quantity: Quantity, given: Any) -> Choice:
         raise ValueError(f"{quantity.name}: the list is empty")
     if quantity.is_text:
         return tuple(_parse_path(value) for value in values)
-    return tuple(check_bounds(quantity.name, v, quantity.low, quantity.high) for v in values)
+    return tuple(map(quantity.check, values))
 
 
 _PARSERS: Mapping[str, Callable[[Any], Any]] = {
     "seeds": _parse_seeds,
-    "duration": lambda given: check_bounds("duration", given, 0.1, DURATION_MAX),
-    "rate": lambda given: check_bounds("rate", given, 20.0, 1000.0),
+    "duration": Quantity("duration", 0.1, 3600.0, "s", "of a drive").check,
+    "rate": Quantity("rate", 20.0, 1000.0, "Hz", "of the loop").check,
     "path": _parse_path,
-    "speed": lambda given: check_bounds("speed", given, 0.05, 20.0),
+    "speed": _SPEED.check,
 }
 """What a sweep file may say of all drives, beside the car and what is varied."""

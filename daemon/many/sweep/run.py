@@ -10,9 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from steerd.car_model.effects import find_effect
 from steerd.car_model.model import believed_car
-from steerd.car_model.params import PARAMETERS
 from steerd.car_model.path.path import locate, project
 from steerd.controller.design import assess, delay_margin
 from steerd.controller.loop_model import Timing
@@ -26,7 +24,7 @@ from steerd.daemon.common.screen import shown
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.many.job import FAILED, Job, do_in_notebook
 from steerd.daemon.many.sweep import plan as plans
-from steerd.daemon.many.sweep.plan import DriveCase, SweepPlan
+from steerd.daemon.many.sweep.plan import DriveCase, Quantity, SweepPlan
 from steerd.daemon.many.sweep.summary import Summary
 from steerd.daemon.many.units import Done, Where
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
@@ -160,29 +158,27 @@ def prepare(plan: SweepPlan, case: DriveCase) -> tuple[RunPlan, WorldConfig]:
     """
     values = case.values
     speed, path = float(values.get("speed", plan.speed)), str(values.get("path", plan.path))
+    numbers = {q: float(values[q.name]) for q in plan.quantities if not q.is_text}
+    drawn = {q.fields[0]: value for q, value in numbers.items() if q.kind == "car"}
     effects: dict[str, dict[str, float]] = {}
-    for name, value in values.items():
-        kind, _, rest = name.partition(".")
-        if kind == "effect":
-            effect, _, parameter = rest.partition(".")
-            parameter = parameter or find_effect(effect).parameters[0].name
-            effects.setdefault(effect, {})[parameter] = float(value)
+    for q, value in numbers.items():
+        if q.kind == "effect":
+            effect, parameter = q.fields
+            effects.setdefault(effect, {})[parameter] = value
     run_plan = plan_drive(plan.car, path, speed, plan.duration, case.seed, effects, rate=plan.rate)
-    names = [p.name for p in PARAMETERS if f"car.{p.name}" in values]
-    drawn = {name: float(values[f"car.{name}"]) for name in names}
     settings = run_plan.settings
     car = replace(settings.file, car=settings.file.car._replace(**drawn))
     run_plan = replace(run_plan, drawn=replace(settings, file=car))
-    return run_plan, _vary_instruments(make_world_config(run_plan), values)
+    return run_plan, _vary_instruments(make_world_config(run_plan), numbers)
 
 
-def _vary_instruments(config: WorldConfig, values: Mapping[str, float | str]) -> WorldConfig:
-    for quantity in (each for each in plans.INSTRUMENTS if each.name in values):
-        name, (first, *others) = quantity.name.partition(".")[0], quantity.fields
-        device, value = getattr(config, name), float(values[quantity.name])
-        if first.endswith("_ns"):
-            value = max(round(value * NS) - sum(getattr(device, each) for each in others), 0)
-        config = replace(config, **{name: replace(device, **{first: value})})
+def _vary_instruments(config: WorldConfig, numbers: Mapping[Quantity, float]) -> WorldConfig:
+    for q, value in numbers.items():
+        if q.kind in ("mocap", "vesc"):
+            device, (first, *others) = getattr(config, q.kind), q.fields
+            if first.endswith("_ns"):
+                value = max(round(value * NS) - sum(getattr(device, each) for each in others), 0)
+            config = replace(config, **{q.kind: replace(device, **{first: value})})
     return config
 
 

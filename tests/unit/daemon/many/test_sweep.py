@@ -21,11 +21,9 @@ def make_plan(vary, **more):
 def test_lists_are_crossed_and_every_combination_meets_every_seed():
     plan = make_plan({"path": ["line", "figure8"], "car.mass": [3.0, 3.5, 4.0]}, seeds=[4, 7])
     cases = list(list_cases(plan))
-    assert plan.count == len(cases) == 12
-    assert [case.number for case in cases] == list(range(12))
-    assert [case.seed for case in cases] == [4, 7] * 6
-    found = {(c.values["path"], c.values["car.mass"], c.seed) for c in cases}
-    assert len(found) == 12
+    assert plan.count == 12
+    assert [(case.number, case.seed) for case in cases] == list(enumerate([4, 7] * 6))
+    assert len({(*case.values.values(), case.seed) for case in cases}) == 12
 
 
 def test_a_seed_draws_the_same_in_every_combination():
@@ -150,10 +148,10 @@ def test_what_is_varied_reaches_the_simulated_hardware():
     found = {e.name: values for e, values in zip(model.effects, model.values, strict=True)}
     assert found["steer_delay"] == (0.03,)
     assert found["grip_patch"] == (2.0, 0.0, 0.5, 0.4, 0.0)
-    assert config.mocap.position_noise == 0.002
-    assert config.mocap.camera_ns + config.mocap.software_ns == 20_000_000
-    assert config.mocap.jitter_ns == 1_000_000
-    assert (config.vesc.erpm_noise, config.vesc.reply_delay_ns) == (9.0, 1_000_000)
+    mocap, vesc = config.mocap, config.vesc
+    assert (mocap.position_noise, mocap.jitter_ns) == (0.002, 1_000_000)
+    assert mocap.camera_ns + mocap.software_ns == 20_000_000
+    assert (vesc.erpm_noise, vesc.reply_delay_ns) == (9.0, 1_000_000)
     assert run_plan.options.speed == 1.7
 
 
@@ -193,55 +191,48 @@ DRIVES = 200
 
 
 @pytest.fixture(scope="module")
-def summary():
+def found():
     """Errors that grow with the delay, stops on one path, a mass that moves nothing."""
     vary = {"path": ["line", "figure8"], "car.mass": {"share": 0.1}}
     vary["effect.steer_delay"] = {"low": 0.0, "high": 0.04}
     plan, rng = make_plan(vary, seeds=DRIVES // 2), np.random.default_rng(3)
     rows = []
     for case in list_cases(plan):
-        stopped = case.values["path"] == "figure8" and case.values["effect.steer_delay"] > 0.03
-        row = {"drive": case.number, "seed": case.seed, **case.values}
-        row |= {"outcome": "stopped" if stopped else "driven", "seconds": 5.0}
-        row |= {"watchdog": "W17" if stopped else "", "damping": 0.5}
-        row["e1_rms"] = None if stopped else 1e-3 + case.values["effect.steer_delay"] ** 2
-        row["steer_margin"] = rng.random()
-        rows.append(row)
-    return Sweep(tuple(rows), 0, 0.0, plan), rows
+        delay, margin = case.values["effect.steer_delay"], rng.random()
+        row = {"outcome": "driven", "e1_rms": 1e-3 + delay**2}
+        if delay > 0.03 and case.values["path"] == "figure8":
+            row = {"outcome": "stopped", "watchdog": "W17"}
+        same = {"drive": case.number, "seconds": 5.0, "damping": 0.5, "steer_margin": margin}
+        rows.append(case.values | same | row)
+    return Sweep(tuple(rows), 0, 0.0, plan)
 
 
-def find(summary, quantity, measure):
-    return next(s for s in summary.sensitivities if (s.quantity, s.measure) == (quantity, measure))
-
-
-def test_what_moves_what_is_found_and_the_rest_is_not_shown(summary):
-    found, _ = summary
-    moved = find(found, "effect.steer_delay", "e1_rms")
+def test_what_moves_what_is_found_and_the_rest_is_not_shown(found):
+    moves = {(s.quantity, s.measure): s for s in found.sensitivities}
+    moved = moves["effect.steer_delay", "e1_rms"]
     assert moved.value == pytest.approx(1.0)
     assert moved.shown
     assert moved.start == pytest.approx(1.02e-3, abs=0.02e-3), "over the lowest fifth of delays"
     assert moved.end == pytest.approx(2.15e-3, abs=0.2e-3)
-    assert find(found, "path", STOPS).shown
-    assert find(found, "effect.steer_delay", STOPS).value > 0.3
-    assert abs(find(found, "car.mass", "steer_margin").value) < 0.2
-    assert all(s.measure != "damping" for s in found.sensitivities), "it never varied"
+    assert moves["path", STOPS].shown
+    assert moves["effect.steer_delay", STOPS].value > 0.3
+    assert abs(moves["car.mass", "steer_margin"].value) < 0.2
+    assert ("car.mass", "damping") not in moves, "it never varied"
 
 
-def test_stops_are_counted_with_wilsons_interval(summary):
-    found, rows = summary
-    stops = sum(row["outcome"] == "stopped" for row in rows)
-    share = next(s for s in found.outcomes if s.name == "stopped")
+def test_stops_are_counted_with_wilsons_interval(found):
+    stops = sum(row["outcome"] == "stopped" for row in found.rows)
+    (share,) = (s for s in found.outcomes if s.name == "stopped")
     assert (share.count, share.of) == (stops, DRIVES)
     assert [(s.name, s.count) for s in found.watchdogs] == [("W17", stops)]
     half = make_share("x", 5, 10)
     assert (half.low, half.high) == pytest.approx((0.2366, 0.7634), abs=1e-4)
 
 
-def test_the_worst_drive_is_named(summary):
-    found, rows = summary
-    spread = next(s for s in found.spreads if s.name == "e1_rms")
-    largest = max(row["e1_rms"] or 0.0 for row in rows)
-    assert rows[spread.worst_drive]["e1_rms"] == spread.worst == largest
-    margin = next(s for s in found.spreads if s.name == "steer_margin")
+def test_the_worst_drive_is_named(found):
+    spreads, rows = {s.name: s for s in found.spreads}, found.rows
+    error, margin = spreads["e1_rms"], spreads["steer_margin"]
+    assert rows[error.worst_drive]["e1_rms"] == error.worst
+    assert error.worst == max(row.get("e1_rms", 0.0) for row in rows)
     assert margin.worst == min(row["steer_margin"] for row in rows), "small margins are bad"
     assert margin.low < margin.middle < margin.high
