@@ -191,8 +191,7 @@ def _fewer_and_fewer(fitted: FittedCar, covariance: Array) -> list[tuple[int, Ar
     nulls = {f"{e.name}.{p.name}": p.null for e in augmented.effects for p in e.parameters}
     names = {name: [i for i, n in enumerate(labels) if n.startswith(f"{name}.")]
              for name in _structures(fitted)}  # fmt: skip
-    gone: list[int] = []
-    found: list[tuple[int, Array, list[str]]] = []
+    gone, found = list[int](), list[tuple[int, Array, list[str]]]()
     while names:
         chances = {}
         for name, mine in names.items():

@@ -56,7 +56,8 @@ force on the car. Without it 90 % intervals hold 75 % of 153 values of sets 21 t
 RULED_OUT = 12.5
 """Values that are less likely by so much (5 standard deviations) are none of this car's [nats]."""
 CHANCE = 0.05
-"""An effect that chance takes as far from its null this often is left out of the car file."""
+"""An effect that chance takes as far from its null this often is left out of the car file, where
+the likelihood ratio does not reject the car without it at this level."""
 COG_PLACE = 0.035
 """Doubt about where the centre of gravity is, per wheelbase: drives fix where the mocap body is
 between the axles to a millimetre, but only the finer points of a model say where the centre of
