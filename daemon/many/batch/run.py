@@ -77,7 +77,11 @@ def read_content(task: UnitTask) -> UnitTask:
 
 
 def find_batch(words: Sequence[str]) -> list[Path]:
-    """Sessions that folders (with all below), patterns and files name; a SteerdError if none."""
+    """Sessions that folders (with all below them), patterns and files name; each once.
+
+    Raises:
+        SteerdError: a word names nothing.
+    """
     found: dict[Path, None] = {}
     for word in words:
         path = Path(word)
@@ -96,7 +100,11 @@ def find_batch(words: Sequence[str]) -> list[Path]:
 
 
 def read_cars(named: Path | None) -> dict[str, CarFile]:
-    """Car files by name, of a folder of `NAME.toml` or one for all; a SteerdError if none."""
+    """Car files by the cars' names: of a folder `NAME.toml` each, or one file for every car.
+
+    Raises:
+        SteerdError: there is none, or one cannot be used.
+    """
     if named is None:
         return {}
     if not named.is_dir():
@@ -122,7 +130,11 @@ def make_tasks(paths: Sequence[Path]) -> dict[str, UnitTask]:
 
 
 def run_unit(question: Question, task: UnitTask) -> dict[str, Any]:
-    """The row of one session; a SteerdError where it cannot be used for what is asked."""
+    """The row of one session.
+
+    Raises:
+        SteerdError: the session cannot be used for what is asked.
+    """
     if task.content is None:
         return _answer(task.path, question, task.changed_ns)
     with tempfile.TemporaryDirectory(prefix="steerd-") as folder:
