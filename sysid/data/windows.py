@@ -139,7 +139,7 @@ def _edges(run: Run, horizon: float, pose_delay: float) -> Indices:
     return np.unique(np.linspace(low, high, count + 1).round().astype(np.int64))
 
 
-def _remembered(steering: Array, a: int, least: int, most: int) -> int:
+def remembered(steering: Array, a: int, least: int, most: int) -> int:
     """Steps before a window at `a` of which a linkage may remember something.
 
     Play remembers no more than when the command last moved by the whole gap; `least` steps before
@@ -163,7 +163,7 @@ def _cut(run: Run, horizon: float, pose_delay: float) -> tuple[NDArray[Any], ...
     edges = _edges(run, horizon, pose_delay)
     least, most = round(HISTORY / run.h), round(run.history / run.h)
     settle = [
-        max(least, min(_remembered(run.commands[:, 0], a, least, most), a))
+        max(least, min(remembered(run.commands[:, 0], a, least, most), a))
         for a in edges[:-1].tolist()
     ]
     whole = np.tile([0, len(run.commands)], (len(settle), 1))

@@ -53,8 +53,8 @@ WILD = 1e3
 count as none: squared and weighed by millimetres they leave no digits."""
 WILD_SHARE = 0.5  # share of such windows above which the whole simulation counts as diverged
 WILD_ERROR = 1.0  # every reading of such a window is off by this, whatever is changed [m, rad, ...]
-DECAY_MAX = {"rk4": 2.0, "midpoint": 1.4, "euler": 1.4}
-"""Decay per step that is surely stable (the limits are 2.78, 2 and 2)."""
+DECAY_MAX = {"rk4": 2.0, "midpoint": 1.4}
+"""Decay per step that is surely stable (the limits are 2.78 and 2)."""
 SUBSTEPS_MAX = 16
 
 

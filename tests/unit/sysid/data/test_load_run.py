@@ -18,7 +18,7 @@ from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, Topic, make_ses
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Signal, make_run, read_run
 from steerd.sysid.data.jitter_correction import correct_log_jitter, find_log_jitter, log_period
-from steerd.sysid.data.windows import _remembered
+from steerd.sysid.data.windows import remembered
 
 EPOCH = 1_700_000_000_000_000_000
 BOOT = 55_000_000_000
@@ -91,7 +91,7 @@ def wheel_after(steering, play, wheel):
 @given(st.integers(0, 2**32), st.floats(1e-4, 0.1), st.floats(0.0, 0.15), st.floats(-1.0, 1.0))
 def test_nothing_before_it_changes_where_the_wheel_is(seed, step, play, side):
     steering = np.cumsum(step * np.random.default_rng(seed).normal(size=600))
-    steps = _remembered(steering, 599, LEAST, MOST)
+    steps = remembered(steering, 599, LEAST, MOST)
     assert LEAST <= steps <= MOST
     if steps < MOST:
         past = steering[599 - steps :]
@@ -100,9 +100,9 @@ def test_nothing_before_it_changes_where_the_wheel_is(seed, step, play, side):
 
 
 def test_a_stick_that_rests_is_given_the_whole_past():
-    assert _remembered(np.full(1000, 0.1), 999, LEAST, MOST) == MOST
-    assert _remembered(np.full(1000, 0.1), 999, LEAST, LEAST) == LEAST, "no play is asked for"
-    assert _remembered(np.full(1000, 0.1), 30, LEAST, MOST) == 80, "the drive's whole past"
+    assert remembered(np.full(1000, 0.1), 999, LEAST, MOST) == MOST
+    assert remembered(np.full(1000, 0.1), 999, LEAST, LEAST) == LEAST, "no play is asked for"
+    assert remembered(np.full(1000, 0.1), 30, LEAST, MOST) == 80, "the drive's whole past"
 
 
 # The log jitter of two timers is found in a drive and corrected; other logs stay as they are.
