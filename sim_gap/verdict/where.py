@@ -211,7 +211,7 @@ def range_words(regime: Regime) -> str:
     low, high = scale * regime.low, scale * regime.high
     span = high - low
     places = min(max(1 - math.floor(math.log10(max(span, 1e-4))), 0), 4) if span < 10.0 else 0
-    first, last = f"{low:.{places}f}", f"{high:.{places}f}"
+    first, last = (f"{round(end, places) + 0.0:.{places}f}" for end in (low, high))  # no "-0.0"
     text = f"{first} to {last}" if first != last else f"{low:.3g}"
     return f"{text}{unit.replace('^2', '²')}"
 
