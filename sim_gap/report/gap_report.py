@@ -266,9 +266,9 @@ def headline(found: Diagnosis) -> str:
         return "What the simulation does not predict of these drives looks like noise."
     if found.verdict == "unjudged":
         last = found.before.errors[-1]
-        off = f"{short(1e3 * last.position.value)} mm off after {last.seconds:g} s"
-        off = f"the simulation is {off}, and errors as large were learnt as ordinary"
-        return f"These drives cannot be judged: {off}."
+        size = short(1e3 * last.position.value)
+        off = f"the simulation is {size} mm off after {last.seconds:g} s"
+        return f"These drives cannot be judged: {off}, and errors as large were learnt as ordinary."
     if found.verdict == "unexplained" or not found.causes:
         return "There is a gap, and none of the known effects explains it."
     names = " and ".join(cause.effect for cause in found.causes)

@@ -30,6 +30,7 @@ TABLE = [
     (f"{SIM} --path figur8", 2, "did you mean --path figure8?"),
     (f"{SIM} --path circle:raduis=2", 2, "did you mean --path circle:radius=2?"),
     # drives
+    (f"{SIM} --path triangle", 2, "no path called 'triangle'", "circle"),
     (f"{SIM} --path circle:size=2", 2, "circle has no option size"),
     (f"{SIM} --path csv:{{tmp}}/notes.csv", 2, "notes.csv"),
     (f"{SIM} --path circle:radius=0.3", 4, "0.3"),
@@ -37,6 +38,7 @@ TABLE = [
     (f"{SIM} --car {{tmp}}/odd.toml", 4, "odd.toml", "mass"),
     (f"{SIM} --car {{tmp}}/pole.toml", 4, "spectral radius", "'pole_placement' refused"),
     (f"{SIM} --effect gravity=3", 2, "gravity", "steerd effects"),
+    (f"{SIM} --effect steer_lag=much", 2, "steer_lag", "much"),
     (f"{SIM} --record {{tmp}}/notes.csv", 3, "notes.csv"),
     (f"{SIM} --record {{tmp}}/notes.csv/drive.mcap", 3, "notes.csv", "--record"),
     (f"{SIM} --seed -1", 2, "--seed -1: 0 or more"),
@@ -80,7 +82,9 @@ TABLE = [
     ("config --from-vesc-yaml {tmp}/no.yaml", 3, "no.yaml does not exist"),
     ("export {tmp}/pole.toml -o {tmp}/car.urdf", 2, "no format of that name"),
     ("keys {tmp}/lab --host ' '", 2, "--host is empty"),
+    ("keys {tmp}/lab --host 10.0.0.2 --car 'Car 1'", 2, "Car 1"),
     ("keys {tmp}/lab --host 10.0.0.2 --car ../car", 2, "../car"),
+    ("keys {tmp}/lab --host 10.0.0.2 --car ''", 2, "car"),
     ("keys {tmp}/lab --operator new", 3, "lab.toml: No such file or directory"),
     # sessions and logs
     ("info {tmp}/a,b.mcap", 3, "a,b.mcap does not exist"),
@@ -120,10 +124,12 @@ TABLE = [
 ]
 SLOW = [
     ("identify {run} --free lenght", 2, "lenght is no parameter"),
+    ("identify {run} --free mass.scale", 2, "mass.scale is no parameter"),
     ("identify {run} --fix mass=heavy", 2, "--fix mass=heavy: not a number"),
     ("identify {run} --fix lenght=3", 2, "lenght is no parameter"),
     ("identify {run} --fix mass=nan", 2, "expected a number >= 0.02"),
     ("identify {run} --fix lf=0.1,lr=0.15 --wheelbase 0.33", 2, "a wheelbase of 0.33 m"),
+    ("identify {run} --fix lf=0.4 --wheelbase 0.33", 2, "a wheelbase of 0.33 m"),
     ("identify {run} --wheelbase 324", 2, "in metres"),
     ("identify {run} --held-out 0", 2, "something must validate"),
     ("identify {run} --held-out 1", 2, "2 or more"),
@@ -150,6 +156,8 @@ SLOW = [
     (f"{ON_PORT} {{tmp}}/ttyACM9", 3, "ttyACM9"),
     (f"{ON_PORT} {{tmp}}/notes.csv", 3, "notes.csv"),
     (f"{MOCAP} motive://127.0.0.1/car", 2, "motive://", "natnet://HOST"),
+    (f"{MOCAP} ros2://pf", 2, "a topic is like ros2:///pf/pose/odom"),
+    (f"{MOCAP} natnet://127.0.0.1", 2, "natnet://127.0.0.1"),
     (f"{MOCAP} vrpn://no.such.host.invalid/car", 3, "no.such.host.invalid"),
     *(
         (f"{command} --connect {{nobody}}", 6, "no steerd answers", "`steerd run` first")

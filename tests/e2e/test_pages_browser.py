@@ -63,7 +63,8 @@ def pages(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", PAGES)
-@pytest.mark.parametrize(("width", "dark"), [(1280, False), (420, True)], ids=["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 420])
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 def test_a_page_is_whole_in_every_window(browser, pages, tmp_path, name, width, dark):
     browser.open((pages / f"{name}.html").as_uri(), width, dark=dark)
     assert browser.ask("navigator.language") == ("en-US" if name == "drive" else "en-US@posix")

@@ -72,8 +72,8 @@ def test_frames_and_distances_are_counted_measured_and_computed() -> None:
 
 
 @pytest.mark.parametrize(("code", "phase"), [
-    ("M1", "P5"), ("H1", "P6"), ("V19", "P4"), ("M24", "P1"), ("V1", "P3"), ("V24", "P0"),
-    ("M10", "P0"), ("V5", "P5"),
+    ("M1", "P5"), ("V4", "P6"), ("H1", "P5"), ("V19", "P4"), ("M24", "P1"), ("V13", "P2"),
+    ("V1", "P3"), ("V24", "P0"), ("M10", "P0"), ("V5", "P5"),
 ])  # fmt: skip
 def test_without_the_fault_the_cell_fails(code: str, phase: str) -> None:
     """Each kind of verdict is one that sound hardware and a silent daemon cannot earn."""

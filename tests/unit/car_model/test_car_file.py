@@ -82,6 +82,8 @@ def test_every_parameter_must_be_there_within_bounds(p):
     ("[car\n", "line 1", "Expected"), (TEXT + "[car]\n", "line", "Cannot declare"),
     (edited("lf ", "lf = true"), "car.lf", "expected a number, got true/false"),
     (edited("lf ", "lf = 'wide'"), "car.lf", "expected a number, got text"),
+    (edited("lf ", "lf = []"), "car.lf", "expected a number"),
+    (edited("lf ", "lf = 1979-05-27"), "car.lf", "expected a number"),
     (edited("lf ", "lf = " + "9" * 400), "car.lf", ""),
     (edited("lf ", "lf = 0.1\nlz = 0.1"), "car.lz", "is not known"),
     (edited("name ", "name = 3"), "car.name", "expected text"),

@@ -68,7 +68,7 @@ def test_whatever_byte_is_the_last_one(tmp_path, room_for, whole):
     saved = set()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for room in (*range(0, body - 9, 5), *range(body - 9, size)):
+        for room in range(size):
             path = tmp_path / str(room) / "a.mcap"
             path.parent.mkdir()
             room_for(room)
@@ -83,7 +83,7 @@ def test_whatever_byte_is_the_last_one(tmp_path, room_for, whole):
             assert found.info().count >= flushed
             assert found.attachment("car.toml") == b"mass = 3.1\n"
             saved.add(found.info().count)
-            if room in (body, size - 1) or room % 95 == 0:
+            if room in (body, size - 1) or room % 97 == 0:
                 recover(found, path)
                 assert open_session(path).info().count == found.info().count
     assert saved == set(range(FLUSH_EVERY, MESSAGES + 1, FLUSH_EVERY))

@@ -14,7 +14,7 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis import drives as module
 from steerd.daemon.analysis import options
 from steerd.daemon.analysis.car_output import find_wiring, learn_known, make_car
-from steerd.daemon.analysis.drives import Drives, load_drives, split_drives
+from steerd.daemon.analysis.drives import Drives, is_same, load_drives, split_drives
 from steerd.daemon.analysis.identification import Identification, IdentifyOptions
 from steerd.daemon.analysis.options import Watch, read_car
 from steerd.daemon.settings.run_options import RunOptions, encode_options
@@ -289,3 +289,15 @@ def test_nobody_is_sent_driving_with_what_is_not_known_or_was_not_driven(what, w
     said = describe(replace(outcome((0.1, 0.4)), **what), tmp_path / "car.toml")
     assert why in said
     assert "steerd run" not in said
+
+
+# One drive under two names: recognised by its content, for a copy is no second drive.
+@pytest.mark.parametrize(("one", "other", "same"), [
+    ("a", "a", True), ("a", "copy", True), ("a", "link", True), ("link", "copy", True),
+    ("a", "b", False), ("a", "none", False), ("none", "none", True),
+])  # fmt: skip
+def test_what_is_the_same_drive(one, other, same, tmp_path):
+    for name, content in (("a", b"first"), ("b", b"other"), ("copy", b"first")):
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "link").symlink_to(tmp_path / "a")
+    assert is_same(tmp_path / one, tmp_path / other) is same

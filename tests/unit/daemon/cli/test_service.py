@@ -81,3 +81,9 @@ def test_a_unit_gives_no_rights_that_a_drive_does_not_need(monkeypatch, cli):
         assert (unit["NoNewPrivileges"], unit["UMask"]) == ("yes", "0077")
         assert unit.get("User") == account
         assert unit.get("ProtectSystem") == (account and "full")
+
+
+def test_udev(cli):
+    rule = cli("service", "udev").out.splitlines()[-1]
+    assert rule.startswith('SUBSYSTEM=="tty", ATTRS{idVendor}=="0483", ATTRS{idProduct}=="5740"')
+    assert rule.endswith('MODE="0660", GROUP="dialout", SYMLINK+="vesc"')
