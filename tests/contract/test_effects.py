@@ -54,7 +54,7 @@ def tensor(value: float) -> torch.Tensor:
 def ordinary(effect: Effect) -> tuple[float, ...]:
     """A severity that is ordinary on such a car, within bounds."""
     return tuple(
-        p.scan[len(p.scan) // 2] if p.scan else min(p.null + p.scale, 0.5 * (p.null + p.high))
+        p.scan[len(p.scan) // 3] if p.scan else min(p.null + p.scale, 0.5 * (p.null + p.high))
         for p in effect.parameters
     )
 
